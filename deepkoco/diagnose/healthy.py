@@ -117,7 +117,7 @@ def learn_baseline(
     members = dict.fromkeys(name for cause in accepted for name in alike[cause.name])
     others = [catalogued[n] for n in members if kind_of(n) not in ("event", *BENDING)]
     others = [c for c in others if not frees_scale(start, c)]
-    if any(c not in accepted for c in others):
+    if {c.name for c in others}.difference(c.name for c in accepted):
         return extended(replace(start, healthy=told, losing=losing), others)
     return replace(_learned(told, runs), losing=losing)
 
@@ -153,7 +153,7 @@ def extended(start: Baseline, causes: Sequence[Cause]) -> Baseline:
     known = {c.name for c in healthy.causes}
     added = [c for c in causes if c.name not in known and not frees_scale(start, c)]
     if not added:
-        return start
+        return replace(_learned(healthy, start.runs), losing=start.losing)
     together = (*healthy.causes, *added)
     fit = problem.fit_one(freed(problem, before, together, healthy.fit, healthy.fit.values), PATIENCE)
     return replace(_learned(*with_spread(replace(healthy, causes=together, fit=fit))), losing=start.losing)
@@ -202,13 +202,17 @@ def jointly_fitted(healthy: Healthy) -> Healthy:
         wanted = left.deflation if left.chi2_per_sample > white_limit(healthy.windows) else 1.0
         if SETTLED <= wanted / healthy.tempering <= 1.0 / SETTLED:
             break
-        healthy = replace(healthy, tempering=wanted)
-        counted, problem = healthy.counted()
-        if healthy.causes or healthy.windows.varies:
-            trial = freed(problem, counted, healthy.causes, healthy.fit, healthy.fit.values)
-            healthy = replace(healthy, fit=problem.fit_one(trial, PATIENCE))
-        else:
-            healthy = replace(healthy, fit=refit(counted, problem.windows))
+        again = replace(healthy, tempering=wanted)
+        counted, problem = again.counted()
+        try:
+            if healthy.causes or healthy.windows.varies:
+                trial = freed(problem, counted, healthy.causes, healthy.fit, healthy.fit.values)
+                fit = problem.fit_one(trial, PATIENCE)
+            else:
+                fit = refit(counted, problem.windows)
+        except DivergedError:
+            break  # the fit under the declared prior stays
+        healthy = replace(again, fit=fit)
     return healthy
 
 

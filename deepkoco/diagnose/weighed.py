@@ -173,6 +173,7 @@ def _selected_again(
         start, base.train, base.held, plausible, wanted, request.progress, request.limit, request.detection
     )
     first, named = selection.run(reference, missing_torque(base.problem, reference))
+    again = replace(again, reference=first.reference)
     chosen = of_mean(replace(explanation, base=again, first=first, found=named, weighed=True))
     if named.lost is None and not named.accepted:
         # What weighs most is not confirmed. What was selected is no name either where it is no more than usual.

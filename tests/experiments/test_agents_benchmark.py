@@ -42,8 +42,8 @@ def test_a_seed_of_deepkoco_by_hand():
     # 90 episodes of 5 windows: 2 batches of 200, 100 times; of 110 episodes 2, of 130 episodes 3, 3 times each.
     assert parts["update"].of_a_seed == 200 + 6 + 9
     assert parts["step by noise"].of_a_seed == 90 * 20
-    # 40 episodes of training, two evaluations of 10 and the last one of 200.
-    assert parts["step with a plan"].of_a_seed == (40 + 20 + 200) * 20
+    # 40 episodes of training, three evaluations of 20, which choose the weights, and the last one of 200.
+    assert parts["step with a plan"].of_a_seed == (40 + 60 + 200) * 20
 
 
 def test_all_parts_take_turns_and_times_are_of_one_unit(monkeypatch):

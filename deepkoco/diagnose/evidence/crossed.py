@@ -97,5 +97,6 @@ def at_another_place(ranking: Ranking, reference: Fit) -> bool:
 
 def _in_front(ranking: Ranking) -> tuple[list[Candidate], list[Candidate]]:
     fitted = [c for c in ranking.candidates if c.cause.free and c.fit is not ranking.reference]
-    close = [c for c in fitted if c.delta_bic >= CLOSE_BEHIND * ranking.best.delta_bic]
+    least = ranking.best.delta_bic - CLOSE_BEHIND * abs(ranking.best.delta_bic)
+    close = [c for c in fitted if c.delta_bic >= least]
     return close[:LEADERS], close[:FRONT]

@@ -58,7 +58,15 @@ class Selection(SelectionTask):
         hints = self.hints(self.problem, reference, missing)
         self.progress("fitting every cause")
         first = rank(
-            self.problem, self.start, reference, (), hints, self.causes, self.limit, wanted=self.detection
+            self.problem,
+            self.start,
+            reference,
+            (),
+            hints,
+            self.causes,
+            self.limit,
+            wanted=self.detection,
+            cross=True,
         )
         reference = first.reference
         self.before, self.cost = reference.chi2, reference.cost

@@ -220,7 +220,8 @@ def _healthy_prior(
     runs = start.runs
     if runs is None:
         deflation = dispersion(healthy.fit, healthy.windows).deflation
-        return healthy.before, healthy.causes, healthy.windows.take(own), deflation
+        counted, problem = healthy.counted()
+        return counted, healthy.causes, problem.windows.take(own), deflation
     windows = noisier(healthy.windows, runs.floor, runs.correlation)
     prior = prior_with(FitProblem(start.system, windows), healthy.before, healthy.causes, healthy.fit.values)
     if own.all():

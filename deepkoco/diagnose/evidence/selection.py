@@ -54,11 +54,11 @@ def rank(
     limit: TimeLimit | None = None,
     worth: float = 0.0,
     wanted: float = 0.0,
-    settled: bool = False,
+    cross: bool = False,
 ) -> Ranking:
     """Fit each promising cause on top of a reference and rank them by the BIC.
 
-    The reference of the result is another one where fits of causes have led to a better one.
+    Where fits cross, the reference of the result is a better one if fits of causes have led there.
 
     Args:
         problem: Training windows.
@@ -71,7 +71,7 @@ def rank(
         worth: Fall of the cost that a cause needs; those that will fall short of it are not fitted to the end.
         wanted: Fall of the BIC from which a cause is named; there is no second round of fits where slopes tell that
             none can be.
-        settled: Whether the reference is known to be at no other place than the causes.
+        cross: Whether candidates and reference are also fitted from each other's optimum (:mod:`.crossed`).
     """
     everything = [*catalogue(problem.system.base).values()] if causes is None else causes
     names = [c.name for c in accepted]
@@ -196,11 +196,15 @@ def rank(
         near = CLOSE * ranking.dispersion.correlation
         fits |= dict(zip(unsettled, problem.fit(longer, PATIENCE, near), strict=True))
         ranking = _ranked(problem, start, reference, tried, fits, promised)
-    if not many and start.tempering == 1.0 and leaves_more(problem, start, ranking):
+    if cross and not many and start.tempering == 1.0 and leaves_more(problem, start, ranking):
         better = better_reference(problem, start, accepted, ranking)
-        if better is not None and not settled and at_another_place(ranking, better):
-            return rank(problem, start, better, accepted, hints, causes, limit, worth, wanted, settled=True)
-        reference = reference if better is None else better
+        if better is not None and at_another_place(ranking, better):
+            return rank(problem, start, better, accepted, hints, causes, limit, worth, wanted)
+        if better is not None:
+            # What a cause promised beside the old reference, the better one has in part.
+            won = reference.cost - better.cost
+            promised = {name: max(p - won, 0.0) for name, p in promised.items()}
+            reference = better
         fits |= crossed(problem, start, accepted, ranking)
         ranking = _ranked(problem, start, reference, tried, fits, promised)
     return replace(ranking, unfitted=unfitted, beside=tuple(names), asked=tuple(c.name for c in everything))
