@@ -19,6 +19,7 @@ DEVICES = ("cpu", "cuda")
 
 
 OLDER_SETTINGS = {
+    "keep": "last",
     "warm_start": 0.0,
     "scale": False,
     "relative_cost": 0.0,

@@ -22,6 +22,7 @@ from deepkoco.envs.delay_arguments import (
 from deepkoco.graph import Connection, Delay, Graph, Node, Supervisor, draw_timing
 from deepkoco.graph.delay import exact_fraction
 from deepkoco.graph.model.node import State
+from deepkoco.graph.timing.kernel import LOST
 
 EXPECTATION = (64, 256)
 """Episodes and steps over which expected delays are means, without the first half of the steps."""
@@ -163,15 +164,16 @@ class DelayLine:
         size, steps = EXPECTATION
         arrival, sample, ticks = self._drawn(0, size, steps, np.arange(size))
         late = slice(steps // 2, steps)
-        delays = (arrival - ticks[:steps])[:, late] / (float(ticks[1] - ticks[0]) * float(self.rate))
+        # The last commands may be lost, or arrive after the last step that was drawn.
+        sent, come = ticks[:steps][late], arrival[:, late]
+        delays = (come - sent)[come < LOST] / (float(ticks[1] - ticks[0]) * float(self.rate))
         ages = np.arange(steps + 1) - sample / int(self.samples_per_step)
         return ExpectedDelays(
             {
                 term: float(age[:, late].mean() / float(self.rate))
                 for term, age in zip(self.terms, ages, strict=True)
             },
-            # The last commands may arrive after the last step that was drawn.
-            float(delays[delays < np.iinfo(np.int64).max / 2].mean()),
+            float(delays.mean()),
         )
 
     @property

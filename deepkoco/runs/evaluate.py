@@ -105,11 +105,14 @@ def measure(config: EvaluateConfig) -> dict[str, Any]:
 def _against_optimum(config: EvaluateConfig, costs: np.ndarray) -> dict[str, Any]:
     """The optimum of the start states, without distractors, and how much more was paid; None where not known."""
     run = _settings(Path(config.run))
+    nothing = {"optimum": None, "above_optimum": None, "above_optimum_standard_error": None}
+    if config.sensing_delay != 0.0 or config.actuation_delay != 0.0:
+        return nothing  # it is that of the task without them
     envs = make_factory(run.task, "none")(config.episodes, run.seed)
     best = optimal_costs(envs, _seed(run, config))
     envs.close()
     if best is None:
-        return {"optimum": None, "above_optimum": None, "above_optimum_standard_error": None}
+        return nothing
     above, error = paired_difference(costs, best)
     spread = cost_spread(best) if best.size > 1 else None
     return {
@@ -161,6 +164,11 @@ def _with_delays(
 ) -> tuple[VectorEnv, Controller]:
     """The environments with the delays of the evaluation, and the agent that acts in them."""
     if config.compensate == "none":
+        if config.increment_weight is not None:
+            raise ExperimentError(
+                f"increment_weight = {config.increment_weight}: only an agent that bridges delays takes another one; "
+                "add compensate=measured, law or both"
+            )
         agent = load_controller(run.agent.name, folder, config.episodes)
         if config.sensing_delay == 0.0 and config.actuation_delay == 0.0:
             return envs, agent

@@ -363,3 +363,12 @@ def test_an_unknown_rate_is_asked_for():
     with pytest.raises(DelayWrapperError, match="Timeless has neither dt nor render_fps: pass control_rate"):
         DelayWrapper(Timeless(), 0.1)
     assert roll(DelayWrapper(TimeLimit(Timeless(), 5), 0.1, control_rate=10), [0.5, 0.1])[1] == [0.0, 0.5]
+
+
+def test_expected_delays_leave_out_commands_that_are_lost():
+    law = {"law": "lossy", "delay": 0.05, "probability": 0.3}
+    env = DelayWrapper(gymnasium.make("Pendulum-v1"), actuation_delay=law)
+    env.reset(seed=0)
+    # A step of 0.05 s: one step late, and where a command is lost, its place is taken by the next one.
+    assert 0.05 <= env.expected_delays.actuation < 0.1
+    env.close()

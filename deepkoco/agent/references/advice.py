@@ -181,7 +181,8 @@ def _unpredicted(evidence: Evidence) -> str | None:
 def _best_was_earlier(evidence: Evidence) -> str | None:
     # The last row has other start states.
     costs = np.array([row.get("evaluation/cost", np.nan) for row in evidence.rows[:-1]])
-    if evidence.planned_time is None or costs.size < 3 or not np.isfinite(costs).all():
+    kept = bool(evidence.rows) and "kept/cost" in evidence.rows[-1]
+    if kept or evidence.planned_time is None or costs.size < 3 or not np.isfinite(costs).all():
         return None
     best = int(costs.argmin())
     if costs[-1] - costs[best] < 0.3 * abs(costs[best]):
@@ -210,7 +211,7 @@ def _saturated(evidence: Evidence) -> str | None:
     actions = np.concatenate([episode.actions.numpy() for episode in evidence.own]).astype(np.float64)
     near = 0.01 * (evidence.high - evidence.low)
     share = float(((actions <= evidence.low + near) | (actions >= evidence.high - near)).mean())
-    if share < 0.5:
+    if share < 0.5 or evidence.planned_time is None:  # other agents have no planner to set
         return None
     return (
         f"{100 * share:.0f} % of the actions are at a limit; dearer increments (agent.planner.increment_weight=0.1) "
