@@ -182,7 +182,8 @@ class TrainingConfig:
             raise TrainingConfigError(f'keep = "{self.keep}"; choose one of {", ".join(KEPT)}')
         if self.keep == "best" and not self.evaluation_episodes:
             raise TrainingConfigError(
-                'keep = "best" with evaluation_episodes = 0: nothing tells which is best; give episodes, e.g. 30'
+                'keep = "best" with evaluation_episodes = 0: nothing tells which is best; give episodes, '
+                "e.g. 30, or keep = last"
             )
         if self.chunk_length <= self.horizon:
             raise TrainingConfigError(

@@ -141,6 +141,8 @@ def command(run: TrialRun, agent: str, space: SearchSpace, budget: Budget) -> li
         "existing=resume",
         f"agent.total_episodes={budget.episodes}",
         "agent.evaluation_episodes=0",
+        # A trial is judged at its end; the baselines keep no other weights.
+        *(["agent.keep=last"] if agent == "deepkoco" else []),
         f"agent.final_evaluation_episodes={budget.evaluation_episodes}",
         *(text.format(episodes=budget.episodes) for text in space.overrides),
         *budget.overrides,
