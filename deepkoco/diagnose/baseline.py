@@ -356,4 +356,4 @@ def tempered(prior: Prior, correlation: float) -> Prior:
     The cost counts each sample in full, though only one in ``correlation`` samples is independent. The deflation of
     likelihood ratios and covariances later divides the whole cost by the same factor.
     """
-    return Prior(prior.names, prior.centre, prior.covariance / correlation)
+    return replace(prior, covariance=prior.covariance / correlation)

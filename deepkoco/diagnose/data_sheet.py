@@ -13,7 +13,6 @@ import numpy as np
 
 from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes.tolerance import usual_sd
-from deepkoco.fit.solve.prior import Prior
 
 
 def guessed(start: Baseline) -> bool:
@@ -36,4 +35,6 @@ def with_usual_spread(start: Baseline) -> Baseline:
             covariance[i, :] = covariance[:, i] = 0.0
             covariance[i, i] = usual_sd(parameter) ** 2
             centre[i] = start.values[name]
-    return replace(start, prior=Prior(start.prior.names, np.asarray(centre), covariance), gauges=())
+    return replace(
+        start, prior=replace(start.prior, centre=np.asarray(centre), covariance=covariance), gauges=()
+    )

@@ -30,7 +30,7 @@ from deepkoco.diagnose.lost_commands.report import best_losses
 from deepkoco.diagnose.per_log_refits import ROUNDS, SETTLED, run_to_run, with_floor
 from deepkoco.diagnose.progress import Progress, in_company_of, silent
 from deepkoco.diagnose.residuals.residuals import missing_torque, white_limit
-from deepkoco.diagnose.run_to_run import RunToRun, posterior, unshown, within_bounds
+from deepkoco.diagnose.run_to_run import RunToRun, posterior, unshown, with_ratios, within_bounds
 from deepkoco.diagnose.time_limit import TimeLimit
 from deepkoco.fit.data.per_log_differences import may_differ
 from deepkoco.fit.data.windows import cut_windows, moving
@@ -179,6 +179,7 @@ def _learned(healthy: Healthy, runs: RunToRun | None) -> Baseline:
     else:
         learned = within_bounds(runs.of_another(prior), start.system)
         floor, correlation = runs.floor, runs.correlation
+    learned = with_ratios(learned, start.system)
     return replace(
         start,
         values={**fit.values, **dict(zip(learned.names, learned.centre.tolist(), strict=True))},

@@ -19,7 +19,6 @@ from deepkoco.diagnose.evidence.selected import Selected
 from deepkoco.diagnose.explanation import Explanation, of_mean
 from deepkoco.diagnose.request import DiagnosisRequest
 from deepkoco.fit.fit import Fit, FitProblem, Trial
-from deepkoco.fit.solve.prior import Prior
 from deepkoco.systems import Parameter
 
 SOME = 0.2  # of a standard deviation of what any unit has, from which a fit needs an effect
@@ -128,6 +127,6 @@ def with_little(start: Baseline, causes: Mapping[Cause, Sequence[Parameter]], de
         prior = prior.widened([p for p in sizes if p.name not in prior.names], start.values)
     # A learned prior has been divided by the correlation of the healthy residuals before.
     narrowing = max(deflation / start.correlation, 1.0)
-    prior = Prior(prior.names, prior.centre, prior.covariance / narrowing)
+    prior = replace(prior, covariance=prior.covariance / narrowing)
     effects = tuple(dict.fromkeys((*start.effects, *(c.effect for c in causes))))
     return replace(start, prior=prior, effects=effects, roughness=OF_MODEL_FILE, narrowing=narrowing)

@@ -15,7 +15,10 @@ from deepkoco.diagnose.run_to_run import (
     least_variance,
     log_information,
     sampling_variance,
+    unshown,
     variances_between,
+    with_ratios,
+    within_bounds,
 )
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem, Trial
@@ -51,7 +54,7 @@ def run_to_run(healthy: Healthy, prior: Prior) -> RunToRun | None:
         return None
     # Parameters about which a log says nothing stay at the values of the pooled fit.
     fit = healthy.fit
-    centred = Prior(prior.names, np.array([fit.values[n] for n in prior.names]), prior.covariance)
+    centred = replace(prior, centre=np.array([fit.values[n] for n in prior.names]))
     pooled = dispersion(fit, healthy.windows)
     alone = _refits(healthy, logs, centred, max(1.0, pooled.chi2_per_sample), pooled.correlation)
     for _ in range(ROUNDS):
@@ -70,7 +73,8 @@ def run_to_run(healthy: Healthy, prior: Prior) -> RunToRun | None:
     kept = [g.fixed for g in healthy.before.gauges]
     those = [told[k] for k, enough in zip(logs, long, strict=True) if enough]
     most = np.array([(MOST * healthy.before.system.parameter(n).prior_sd) ** 2 for n in prior.names])
-    between = np.diag(variances_between(those, centred, alike, most))
+    usual = np.diag(unshown(healthy.before.system, prior.names, fit.values, kept))
+    between = np.diag(variances_between(those, centred, alike, most, usual))
     return RunToRun(
         told,
         between,
@@ -96,7 +100,9 @@ def with_floor(runs: RunToRun, healthy: Healthy, prior: Prior) -> RunToRun:
     fit = healthy.fit
     runs = replace(runs, mean=np.array([fit.values[n] for n in prior.names]))
     healthy, logs = _one_by_one(healthy)
-    again = _refits(healthy, logs, runs.of_another(prior), runs.floor, runs.correlation)
+    system = healthy.before.system
+    another = with_ratios(within_bounds(runs.of_another(prior), system), system)
+    again = _refits(healthy, logs, another, runs.floor, runs.correlation)
     return replace(
         runs,
         floor=again.floor,

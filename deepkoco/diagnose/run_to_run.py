@@ -97,7 +97,7 @@ class RunToRun:
         if self.mean is not None:
             # What leaving out a log changes is small enough for tangents.
             centre = self.mean if without is None else self.mean + centre - self._of_mean(prior, None)[0]
-        return Prior(prior.names, centre, covariance + self.differ)
+        return replace(prior, centre=centre, covariance=covariance + self.differ)
 
     @property
     def differ(self) -> np.ndarray:
@@ -107,7 +107,7 @@ class RunToRun:
     def _of_mean(self, prior: Prior, without: int | None) -> tuple[np.ndarray, np.ndarray]:
         """Return mean (K,) and covariance (K, K) of the mean, from the likelihoods of all logs but one."""
         one, differ = np.eye(len(prior.names)), self.doubted
-        before = Prior(prior.names, prior.centre, prior.covariance + differ)
+        before = replace(prior, covariance=prior.covariance + differ)
         precision = before.precision(prior.names)
         times_mean = precision @ prior.centre
         for log, own in self.log_information.items():
@@ -132,7 +132,11 @@ class RunToRun:
 
 
 def variances_between(
-    told: Sequence[LogInformation], prior: Prior, start: np.ndarray, most: np.ndarray | None = None
+    told: Sequence[LogInformation],
+    prior: Prior,
+    start: np.ndarray,
+    most: np.ndarray | None = None,
+    usual: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return the run-to-run variances (K,) under which the estimates of all logs together are most likely.
 
@@ -144,7 +148,12 @@ def variances_between(
     Each step multiplies a variance by the root of sum_k (W_k (x_k - m))^2 / sum_k (W_k - W_k L^-1 W_k), where L is the
     information of all logs and ``VAGUE`` of the prior's: the logs alone tell where the mean is, if they can.
 
-    Source: Zhou et al., MM algorithms for variance components models (2019), restricted likelihood.
+    Two or three logs say little about a variance, and a model error that differs between their motions looks like one.
+    A standard deviation far above what units of one make differ by must therefore explain much: it has a half-Cauchy
+    prior with that scale.
+
+    Source: Zhou et al., MM algorithms for variance components models (2019), restricted likelihood; Gelman, Prior
+    distributions for variance parameters in hierarchical models (2006), half-Cauchy.
 
     A variance of 0 stays 0. Parameters of which the logs tell a sum alone seem not to differ one by one, although their
     sum does. A second search therefore starts with all variances above 0, and counts where the logs are more likely
@@ -155,6 +164,7 @@ def variances_between(
         prior: Prior of the mean of K parameters, before any log.
         start: (K,) variances to start from, in the squared units of the parameters.
         most: (K,) largest variances; None for no limit.
+        usual: (K,) usual variances, the squared scales of half-Cauchy priors of the standard deviations; None for none.
     """
     scale = np.sqrt(np.diag(prior.covariance))
     differences = Differences(
@@ -162,6 +172,7 @@ def variances_between(
         [scale * (o.times_mean - o.information @ prior.centre) for o in told],
         VAGUE * prior.precision(prior.names) * np.outer(scale, scale),
         np.full(len(scale), np.inf) if most is None else most / scale**2,
+        np.full(len(scale), np.inf) if usual is None else usual / scale**2,
     )
     found = differences.search(start / scale**2)
     if (found == 0.0).any():
@@ -181,12 +192,14 @@ class Differences(NamedTuple):
         pulls: (K,) its product with the estimate.
         before: (K, K) information of the prior that counts.
         limit: (K,) largest variances.
+        usual: (K,) usual variances: squared scales of the half-Cauchy priors of the standard deviations.
     """
 
     data: list[np.ndarray]
     pulls: list[np.ndarray]
     before: np.ndarray
     limit: np.ndarray
+    usual: np.ndarray
 
     def search(self, variance: np.ndarray) -> np.ndarray:
         """Return the most likely variances (K,) from a start; those below ``NONE`` are 0."""
@@ -198,9 +211,11 @@ class Differences(NamedTuple):
             for t, own, weight, pull in zip(through, self.data, known, self.pulls, strict=True):
                 shown += (t @ (pull - own @ mean)) ** 2
                 expected += np.diag(weight - weight @ spread @ weight)
+            # The slope of -2 log of a half-Cauchy density; it falls with the variance, so a step never overshoots.
+            expected = np.maximum(expected, 0.0) + 2.0 / np.maximum(self.usual + variance, NONE)
             # About the variance of a parameter that hardly shows, both sums are rounding errors; it stays.
             less = NOTHING / np.maximum(variance, NONE)
-            ratio = (shown + less) / (np.maximum(expected, 0.0) + less)
+            ratio = (shown + less) / (expected + less)
             found = np.minimum(variance * np.sqrt(ratio), self.limit)
             settled = np.abs(found - variance) <= SETTLED * np.maximum(found, NONE)
             variance = found
@@ -209,12 +224,13 @@ class Differences(NamedTuple):
         return np.where(variance > NONE, variance, 0.0)
 
     def log_likelihood(self, variance: np.ndarray) -> float:
-        """Return the restricted log likelihood of variances (K,), up to a constant."""
+        """Return the restricted log likelihood of variances (K,) and the log density of their prior, up to a constant."""
         through, _, spread, mean = self._mean(variance)
         within = sum(p @ (variance[:, None] * t) @ p for t, p in zip(through, self.pulls, strict=True))
         pull = np.sum([t @ p for t, p in zip(through, self.pulls, strict=True)], axis=0)
         volume = sum(np.linalg.slogdet(t)[1] for t in through) + np.linalg.slogdet(spread)[1]
-        return 0.5 * float(within + pull @ mean + volume)
+        doubt = float(np.log1p(variance / np.maximum(self.usual, NONE)).sum())
+        return 0.5 * float(within + pull @ mean + volume) - doubt
 
     def _mean(
         self, variance: np.ndarray
@@ -341,7 +357,23 @@ def within_bounds(prior: Prior, system: System) -> Prior:
     at = scipy.optimize.lsq_linear(
         root, root @ (prior.centre / scale), (low / scale, high / scale), tol=1e-12
     ).x
-    return Prior(prior.names, np.clip(at * scale, low, high), prior.covariance)
+    return replace(prior, centre=np.clip(at * scale, low, high))
+
+
+def with_ratios(prior: Prior, system: System) -> Prior:
+    """Return a learned prior in which parameters that cannot be 0 are log-normal.
+
+    Logs of a motor tell the ratio of its torque constant and its resistance better than each of them. Far from what
+    was learned, a normal distribution would give up this ratio.
+
+    Args:
+        prior: The prior, within the bounds of its parameters.
+        system: Declares the bounds.
+    """
+    positive = {
+        n for n, c in zip(prior.names, prior.centre, strict=True) if system.parameter(n).low > 0.0 < c
+    }
+    return replace(prior, lognormal=frozenset(positive))
 
 
 def _covariance(fit: Fit, prior: Prior) -> np.ndarray:

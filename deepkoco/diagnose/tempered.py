@@ -84,7 +84,8 @@ def tempered_to(
     """
     factor = dispersion(fit, windows).deflation
     centre = declared.prior.centre[[declared.prior.names.index(n) for n in names]]
-    prior = Prior(names, centre, covariance_of(declared, names, fit.values, settled) / factor)
+    covariance = covariance_of(declared, names, fit.values, settled) / factor
+    prior = replace(declared.prior, names=names, centre=centre, covariance=covariance)
     return replace(declared, prior=prior, tempering=factor)
 
 

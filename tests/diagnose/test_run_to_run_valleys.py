@@ -87,7 +87,9 @@ def test_variances_between_finds_what_a_sum_alone_shows(seed):
     logs = [LogInformation(precision, pull) for pull in pulls]
     # The single estimates may differ by no more than their errors; then the search starts without variance.
     found = variances_between(logs, prior, np.zeros(2))
-    likelihood = Differences([precision] * 5, pulls, VAGUE * np.eye(2), np.full(2, np.inf)).log_likelihood
+    likelihood = Differences(
+        [precision] * 5, pulls, VAGUE * np.eye(2), np.full(2, np.inf), np.full(2, np.inf)
+    ).log_likelihood
     best = max(
         -scipy.optimize.minimize(lambda x: -likelihood(np.exp(x)), np.log(at), method="Nelder-Mead").fun
         for at in ((0.1, 0.1), (0.2, 0.01), (0.01, 0.2))
@@ -153,7 +155,7 @@ def test_the_restricted_likelihood_is_that_of_the_dense_normal_distribution(seed
     seen = [a @ rng.normal(size=2) + rng.normal(size=3) for a in slopes]
     data = [(a * scale).T @ (a * scale) for a in slopes]
     pulls = [scale * (a.T @ (y - a @ prior.centre)) for a, y in zip(slopes, seen, strict=True)]
-    found = Differences(data, pulls, VAGUE * np.eye(2), np.full(2, np.inf))
+    found = Differences(data, pulls, VAGUE * np.eye(2), np.full(2, np.inf), np.full(2, np.inf))
     rows, rest = (
         np.vstack(slopes),
         np.concatenate([y - a @ prior.centre for a, y in zip(slopes, seen, strict=True)]),

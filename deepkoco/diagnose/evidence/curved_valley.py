@@ -95,8 +95,8 @@ class _Valley:
         pick = [reference.free.index(n) for n in free]
         self.count, own = len(free), self.spread[: len(free)]
         self.here = np.array([reference.values[n] for n in self.names])
-        self.middle = prior.mean(free)
-        self.root = _root(prior.precision(free) * np.outer(own, own))
+        self.penalty = prior.penalty(free)
+        self.root = _root(self.penalty.precision * np.outer(own, own))
         information = reference.information[np.ix_(pick, pick)] * np.outer(own, own)
         self.loads = np.array(system.base.load_scales)
         self.known = self._needed(self.here[None])[0]
@@ -125,7 +125,8 @@ class _Valley:
 
     def _left(self, x: np.ndarray, share: float = 1.0) -> np.ndarray:
         """Rest (L, n) of which the square is the cost of L points (L, names), with a share of what the log tells."""
-        prior = (x[:, : self.count] - self.middle / self.spread[: self.count]) @ self.root.T
+        own = self.spread[: self.count]
+        prior = self.penalty.offset(x[:, : self.count] * own) / own @ self.root.T
         told = share * (self._needed(x * self.spread) - self.known) @ self.told.T
         return np.concatenate([told, prior], axis=1)
 

@@ -89,8 +89,11 @@ def far_names(start: Baseline, fit: Fit, deflation: float) -> list[str]:
 def _at_given(start: Baseline, prior: Prior, fit: Fit, name: str) -> Trial:
     """Return a trial in which one parameter has its value as given, and all others are free."""
     keep = [i for i, n in enumerate(prior.names) if n != name]
-    rest = Prior(
-        tuple(prior.names[i] for i in keep), prior.centre[keep], prior.covariance[np.ix_(keep, keep)]
+    rest = replace(
+        prior,
+        names=tuple(prior.names[i] for i in keep),
+        centre=prior.centre[keep],
+        covariance=prior.covariance[np.ix_(keep, keep)],
     )
     values = {**fit.values, name: start.values[name]}
     return Trial(name, rest.names, rest, values, fit.state, fit.nuisance)

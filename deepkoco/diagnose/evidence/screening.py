@@ -178,8 +178,7 @@ class Linearised:
         tangent = Tangent.at(problem, theta, columns, reference.state)
         predicted = simulated(problem, [tangent], reference.nuisance[None])
         slopes = tangent.slopes(predicted, problem.weight)
-        precision = torch.from_numpy(prior.precision(free))
-        offset = torch.from_numpy(theta[columns[: len(free)]] - prior.mean(free))
+        precision, offset = map(torch.from_numpy, prior.penalty(free).at(theta[columns[: len(free)]]))
         self.residual = (problem.windows.value - predicted[0]) * problem.weight
         p, self.states = len(free), slopes[len(columns) :]
         own = problem.nuisance_slopes(slopes[[(*free, *also).index(n) for n in problem.nuisances.varies]])
@@ -211,9 +210,9 @@ class Linearised:
         """
         free = self.reference.free
         wide = prior.widened([widened(self.problem.system.parameter(name))], self.reference.values)
-        narrow = torch.from_numpy(prior.precision(free) - wide.precision(free))
         values = np.array([self.reference.values[n] for n in free])
-        offset = torch.from_numpy(values - prior.mean(free))
+        own, offset = map(torch.from_numpy, prior.penalty(free).at(values))
+        narrow = own - torch.from_numpy(wide.penalty(free).at(values)[0])
         matrix, right, _ = self.normal.reduced(0.0)
         p, falls = len(free), []
         for relief in (torch.zeros_like(narrow), narrow):

@@ -195,7 +195,8 @@ def _chi2_together(
     for (_, beside, fit), *both in zip(hypotheses, fits[::2], fits[1::2], strict=True):
         unit = min(both, key=lambda f: f.cost)
         differ = np.diag([own.get(n, 0.0) / correlation for n in unit.free])
-        prior = Prior(unit.free, np.array([unit.values[n] for n in unit.free]), unit.covariance + differ)
+        centre = np.array([unit.values[n] for n in unit.free])
+        prior = Prior(unit.free, centre, unit.covariance + differ, start.prior.lognormal)
         names = tuple(n for n in fit.free if n in prior.names or any(n in c.free for c in beside))
         prior = prior.widened(declared(problem, [n for n in names if n not in prior.names]), fit.values)
         for values in (fit.values, {**fit.values, **{n: unit.values[n] for n in unit.free}}):

@@ -60,10 +60,9 @@ def beyond_healthy(start: Baseline, problem: FitProblem, fit: Fit) -> list[Beyon
         if unit != "rad" or float(np.ptp(usual)) < 2.0 * math.pi:
             found.append(_beyond(name, unit, now[..., s], usual))
     for k, command in enumerate(system.commands[: len(system.command_joints)]):
-        if command.default is None:
-            found.append(
-                _beyond(command.name, command.unit, _sent(problem.windows, k), _sent(healthy.windows, k))
-            )
+        found.append(
+            _beyond(command.name, command.unit, _sent(problem.windows, k), _sent(healthy.windows, k))
+        )
     return sorted((b for b in found if b.share > OFTEN), key=lambda b: -b.share)
 
 

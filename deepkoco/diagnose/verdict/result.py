@@ -218,7 +218,9 @@ def _unidentified(base: Refitted) -> tuple[Direction, ...]:
         prior = base.learned.prior
         names = tuple(n for n in reference.free if n in prior.names)
         index = [reference.free.index(n) for n in names]
-        known = scaled_inverse(reference.covariance[np.ix_(index, index)]) - prior.precision(names)
+        values = np.array([reference.values[n] for n in names])
+        before, _ = prior.penalty(names).at(values)
+        known = scaled_inverse(reference.covariance[np.ix_(index, index)]) - before
         reference = replace(reference, free=names, information=known)
     return unidentified(reference, prior)
 

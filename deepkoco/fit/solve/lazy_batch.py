@@ -327,7 +327,5 @@ class LazyBatch(Batch):
         """Normal equations of a trial at a point, with the slopes that it has."""
         free, slopes = self.trials[k].free, self.slopes[k]
         assert slopes is not None
-        p = len(free)
-        prior = self.precision[k, :p, :p]
-        offset = torch.from_numpy(theta[self.columns[k]]) - self.mean[k, :p]
+        prior, offset = map(torch.from_numpy, self.penalties[k].at(theta[self.columns[k]]))
         return slopes.equations(self.problem, free, self.fresh[k], residual, prior, offset, nuisance)

@@ -42,12 +42,7 @@ class Batch:
         right = problem.nuisances.none()
         self.nuisance = torch.stack([right if t.nuisance is None else t.nuisance for t in trials]).clone()
         count = len(trials)
-        self.precision = torch.zeros(count, self.width, self.width, dtype=torch.float64)
-        self.mean = torch.zeros(count, self.width, dtype=torch.float64)
-        for k, t in enumerate(trials):
-            p = len(t.free)
-            self.precision[k, :p, :p] = torch.from_numpy(t.prior.precision(t.free))
-            self.mean[k, :p] = torch.from_numpy(t.prior.mean(t.free))
+        self.penalties = [t.prior.penalty(t.free) for t in trials]
         self.damping = np.full(count, 1e-4)
         self.cost = np.full(count, np.inf)
         self.done = np.zeros(count, dtype=bool)
@@ -135,8 +130,7 @@ class Batch:
             at += len(lanes)
             slopes = tangents[i].slopes(lanes, problem.weight)
             residual = (problem.windows.value - lanes[0]) * problem.weight
-            prior = self.precision[k, :p, :p]
-            offset = torch.from_numpy(theta[k, self.columns[k]]) - self.mean[k, :p]
+            prior, offset = map(torch.from_numpy, self.penalties[k].at(theta[k, self.columns[k]]))
             own = problem.nuisance_slopes(slopes[[int(np.flatnonzero(columns == v)[0]) for v in varying]])
             result.append(
                 NormalEquations.build(
@@ -181,7 +175,7 @@ class Batch:
         full = normal.reduced(0.0)[0].numpy()
         if not np.isfinite(full).all():
             return self._diverged(k)
-        information = full[:p, :p] - self.precision[k, :p, :p].numpy()
+        information = full[:p, :p] - self.penalties[k].at(self.theta[k, self.columns[k]])[0]
         if len(full) > p:
             across = full[:p, p:]
             information = information - across @ np.linalg.solve(full[p:, p:], across.T)
@@ -204,15 +198,15 @@ class Batch:
 
     def _diverged(self, k: int) -> Fit:
         """Result of a trial whose simulation diverges: start values and prior, without information of the data."""
-        trial, prior = self.trials[k], self.precision[k].numpy()
-        p = len(self.columns[k])
+        trial, p = self.trials[k], len(self.columns[k])
+        prior = self.penalties[k].at(self.theta[k, self.columns[k]])[0]
         curvature = np.diag(np.append(np.zeros(p), self.problem.nuisances.precision.numpy()))
-        curvature[:p, :p] = prior[:p, :p]
+        curvature[:p, :p] = prior
         return Fit(
             trial.name,
             trial.free,
             dict(zip(self.problem.names, map(float, self.theta[k]), strict=True)),
-            scaled_inverse(prior[:p, :p]),
+            scaled_inverse(prior),
             np.zeros((p, p)),
             self.initial[k].clone(),
             self.nuisance[k].clone(),
