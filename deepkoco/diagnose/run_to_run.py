@@ -224,7 +224,7 @@ class Differences(NamedTuple):
         return np.where(variance > NONE, variance, 0.0)
 
     def log_likelihood(self, variance: np.ndarray) -> float:
-        """Return the restricted log likelihood of variances (K,) and the log density of their prior, up to a constant."""
+        """Return the restricted log likelihood of variances (K,) plus their log prior, up to a constant."""
         through, _, spread, mean = self._mean(variance)
         within = sum(p @ (variance[:, None] * t) @ p for t, p in zip(through, self.pulls, strict=True))
         pull = np.sum([t @ p for t, p in zip(through, self.pulls, strict=True)], axis=0)

@@ -133,6 +133,37 @@ def test_variances_between_are_zero_where_correlated_errors_explain_the_estimate
     assert variances_between(logs, prior, start).max() < 0.02 * start[0]
 
 
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10_000), st.integers(2, 6))
+def test_usual_variances_end_where_likelihood_and_half_cauchy_are_largest(seed, count):
+    rng = np.random.default_rng(seed)
+    prior, error, usual = Prior(("a",), np.zeros(1), 400.0 * np.eye(1)), 0.1, 0.3
+    estimates = rng.normal(size=count)
+    logs = [told(np.array([[error**-2]]), np.array([x])) for x in estimates]
+    found = variances_between(logs, prior, np.ones(1), usual=np.array([usual**2]))[0]
+    squares, degrees = float(np.sum((estimates - estimates.mean()) ** 2)), count - 1
+
+    def less_likely(variance):
+        all_of = variance + error**2
+        likelihood = 0.5 * (degrees * np.log(all_of) + squares / all_of)
+        return likelihood + np.log1p(variance / usual**2)  # half-Cauchy of the standard deviation
+
+    grid = np.concatenate([[0.0], np.logspace(-6, 1.5, 4000)])
+    assert less_likely(found) < less_likely(grid).min() + 1e-3
+
+
+def test_two_logs_hardly_raise_a_variance_far_above_the_usual_and_many_do():
+    prior, precision = Prior(("a",), np.zeros(1), 400.0 * np.eye(1)), np.array([[1.0]])
+    few = [told(precision, np.array([x])) for x in (-1.5, 1.5)]
+    many = [told(precision, np.array([x])) for x in 5 * (-1.5, 0.0, 1.5)]
+    # Differences of one and a half errors, where units of one make differ by a hundredth.
+    assert variances_between(few, prior, np.ones(1))[0] > 1.0
+    assert variances_between(few, prior, np.ones(1), usual=np.array([1e-4]))[0] < 0.1
+    sharp = [told(100.0 * precision, np.array([x])) for x in 5 * (-1.5, 0.0, 1.5)]
+    assert variances_between(sharp, prior, np.ones(1), usual=np.array([1e-4]))[0] > 1.0
+    assert variances_between(many, prior, np.ones(1))[0] > 0.3
+
+
 def claimed(start, effort: float):
     """An offset of that size, as another log of the unit shows it."""
     hidden = {"torque_bias": {"effort": effort}}

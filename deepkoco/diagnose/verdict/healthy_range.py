@@ -59,7 +59,8 @@ def beyond_healthy(start: Baseline, problem: FitProblem, fit: Fit) -> list[Beyon
         usual = known[..., s]
         if unit != "rad" or float(np.ptp(usual)) < 2.0 * math.pi:
             found.append(_beyond(name, unit, now[..., s], usual))
-    for k, command in enumerate(system.commands[: len(system.command_joints)]):
+    # Also of switches and supplies: a drive that is off is a motion of its own.
+    for k, command in enumerate(system.commands):
         found.append(
             _beyond(command.name, command.unit, _sent(problem.windows, k), _sent(healthy.windows, k))
         )
