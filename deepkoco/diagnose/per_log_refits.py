@@ -16,10 +16,10 @@ from deepkoco.diagnose.run_to_run import (
     log_information,
     sampling_variance,
     unshown,
-    variances_between,
     with_ratios,
     within_bounds,
 )
+from deepkoco.diagnose.variances_between import variances_between
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.dispersion import Dispersion, dispersion
@@ -63,13 +63,13 @@ def run_to_run(healthy: Healthy, prior: Prior) -> RunToRun | None:
         if alone.floor * alone.correlation > SETTLED * before:
             break
     values = np.array([[fit.values[n] for n in prior.names] for fit in alone.fits])
-    pairs = list(zip(alone.fits, alone.spreads, strict=True))
-    by_noise = np.array([sampling_variance(fit, alone.prior, s.deflation) for fit, s in pairs])
+    pairs = list(zip(alone.fits, alone.deflations(list(logs.values())), strict=True))
+    by_noise = np.array([sampling_variance(fit, alone.prior, deflation) for fit, deflation in pairs])
     alike = np.maximum(np.var(values[long], axis=0, ddof=1) - by_noise[long].mean(0), 0.0)
     told = {}
-    for (k, own), (alone_fit, s) in zip(logs.items(), pairs, strict=True):
+    for (k, own), (alone_fit, deflation) in zip(logs.items(), pairs, strict=True):
         shared = _at_pooled(healthy, noisier(own, alone.noise), alone_fit, alone.prior)
-        told[k] = log_information(alone_fit, alone.prior, s.deflation, shared)
+        told[k] = log_information(alone_fit, alone.prior, deflation, shared)
     kept = [g.fixed for g in healthy.before.gauges]
     those = [told[k] for k, enough in zip(logs, long, strict=True) if enough]
     most = np.array([(MOST * healthy.before.system.parameter(n).prior_sd) ** 2 for n in prior.names])
@@ -152,6 +152,22 @@ class _Refits(NamedTuple):
     @property
     def lag_one(self) -> float:
         return float(np.mean([s.lag_one for s in self.spreads]))
+
+    def deflations(self, logs: Sequence[Windows]) -> list[float]:
+        """Return the deflation of each log's likelihood, over its degrees of freedom.
+
+        A log of 900 samples whose residuals last for 60 of them has fifteen independent ones, of which seven parameters
+        take half. What they leave is then half of the model error.
+
+        Source: residual variance of a linear regression, with effective parameters (Moody 1992): tr(C H).
+        """
+        precision, found = self.prior.precision(self.prior.names), []
+        for fit, spread, own in zip(self.fits, self.spreads, logs, strict=True):
+            index = [fit.free.index(n) for n in self.prior.names]
+            free = len(index) - float(np.trace(fit.covariance[np.ix_(index, index)] @ precision))
+            independent = own.samples / spread.correlation
+            found.append(spread.deflation * independent / max(independent - free, 1.0))
+        return found
 
 
 def _refits(

@@ -14,15 +14,13 @@ from deepkoco.diagnose.evidence.seen_when_healthy import consistent_with_healthy
 from deepkoco.diagnose.healthy import learn_baseline
 from deepkoco.diagnose.little_of_all import with_little
 from deepkoco.diagnose.run_to_run import (
-    VAGUE,
-    Differences,
     LogInformation,
     RunToRun,
     least_variance,
     log_information,
     unshown,
-    variances_between,
 )
+from deepkoco.diagnose.variances_between import VAGUE, Differences, variances_between
 from deepkoco.fit.solve.prior import Prior
 from experiments.studies.diagnosis.heavier_load import LightBench
 from tests.diagnose.test_run_to_run import LENGTH, SECONDS, SEED, SYSTEM, claimed

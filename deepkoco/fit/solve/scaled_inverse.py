@@ -36,3 +36,16 @@ def scaled_inverse(matrix: np.ndarray, ridge: float = 0.0, smallest: float = 0.0
     if ridge:
         scaled = scaled + ridge * np.eye(matrix.shape[-1])
     return np.linalg.pinv(scaled, hermitian=True) / size
+
+
+def symmetric_inverse(matrix: np.ndarray) -> np.ndarray:
+    """Return :func:`scaled_inverse` of a symmetric matrix, symmetric to the last bit.
+
+    Args:
+        matrix: (n, n) the matrix.
+
+    Raises:
+        DivergedError: As for :func:`scaled_inverse`.
+    """
+    inverse = scaled_inverse(matrix)
+    return 0.5 * (inverse + inverse.T)
