@@ -25,6 +25,7 @@ DOSES: dict[str, Dose] = {
     "lost_commands": lambda x, load, command, time: {"share": min(0.01 * x, 0.5)},
     "clock_skew": lambda x, load, command, time: {"rate": 5e-4 * x},
     "viscous": lambda x, load, command, time: {"change": 0.02 * x * load * time},
+    "asymmetric_viscous": lambda x, load, command, time: {"difference": 0.02 * x * load * time},
     "coulomb": lambda x, load, command, time: {"torque": 0.01 * x * load},
     "stribeck": lambda x, load, command, time: {
         "coulomb": 0.002 * x * load,

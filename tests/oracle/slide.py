@@ -46,6 +46,7 @@ class Unit(NamedTuple):
         dry: Dry friction [N].
         offset: Constant force beside the command [N].
         asymmetry: Share by which the force is larger in one direction.
+        uneven: Viscous friction forward minus backward [N s/m]; ``viscous`` is their mean.
         ripple: Force along the rail that no model has [N].
     """
 
@@ -54,6 +55,7 @@ class Unit(NamedTuple):
     dry: float
     offset: float = 0.0
     asymmetry: float = 0.0
+    uneven: float = 0.0
     ripple: float = 0.0
 
 
@@ -78,7 +80,8 @@ def log_of(unit: Unit, seed: int, seconds: float = 24.0) -> Recording:
         force.append(held)
         effort = held + unit.asymmetry * abs(held) + unit.offset
         for _ in range(FINE):
-            free = effort - unit.viscous * v + unit.ripple * float(np.sin(turns * q + phase).sum()) / 3**0.5
+            rubbing = unit.viscous * v + 0.5 * unit.uneven * abs(v)
+            free = effort - rubbing + unit.ripple * float(np.sin(turns * q + phase).sum()) / 3**0.5
             if v == 0.0 and abs(free) <= unit.dry:
                 continue
             moving = np.sign(v) if v != 0.0 else np.sign(free)

@@ -51,6 +51,9 @@ def test_null_values_recover_the_base_exactly(name, theta, omega, share):
         ("coulomb", {"torque": 0.2}, 2.0, -0.2),
         ("coulomb", {"torque": 0.2}, -2.0, 0.2),
         ("quadratic", {"drag": 0.1}, -3.0, 0.9),
+        # Forward 0.2 N m s/rad more than the system, backward 0.2 less: both loads point backward.
+        ("asymmetric_viscous", {"difference": 0.4}, 3.0, -0.6),
+        ("asymmetric_viscous", {"difference": 0.4}, -3.0, -0.6),
         # At speed vs the excess has fallen to 1/e: 0.2 + 0.1/e.
         ("stribeck", {"coulomb": 0.2, "breakaway": 0.1, "speed": 2.0}, 2.0, -0.2 - 0.1 / 2.718281828459045),
     ],

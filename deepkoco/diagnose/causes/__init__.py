@@ -15,6 +15,7 @@ from deepkoco.diagnose.causes.actuator import (
     TORQUE_BIAS,
     UNIT_SLIP,
 )
+from deepkoco.diagnose.causes.asymmetric_friction import ASYMMETRIC_VISCOUS
 from deepkoco.diagnose.causes.body import FORCE, LENGTH, PAYLOAD, TILT
 from deepkoco.diagnose.causes.cause import Cause, Hint, Motion, kind_of
 from deepkoco.diagnose.causes.choose import UnknownCauseError, causes_named, measured_channels, shown_causes
@@ -62,6 +63,7 @@ CAUSES: dict[str, Cause] = {
         STRIBECK,
         QUADRATIC,
         LOAD_FRICTION,
+        ASYMMETRIC_VISCOUS,
         BRISTLE,
         GAIN,
         TORQUE_BIAS,

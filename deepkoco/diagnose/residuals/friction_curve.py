@@ -32,8 +32,10 @@ def friction_curve(
     """Return the friction of a joint in a fitted model.
 
     Friction is the part of the load that is odd in the speed of the joint, with all other joints at rest. The weight
-    and the motor's effort at zero speed cancel. Data often cannot distinguish single parameters of friction laws
-    (more viscous and less quadratic friction fit alike), but they determine the curve.
+    and the motor's effort at zero speed cancel. To it comes what the effects add that is even in the speed and 0 at
+    rest: friction that differs between the two directions. What the system itself has of this kind belongs to its
+    inertia. Data often cannot distinguish single parameters of friction laws (more viscous and less quadratic
+    friction fit alike), but they determine the curve.
 
     Args:
         system: The system with every effect.
@@ -58,12 +60,22 @@ def friction_curve(
     for k, n in enumerate(free):
         named[n] = torch.from_numpy(draws[:, k].clip(declared[n].low, declared[n].high))
     speed = torch.linspace(-fastest, fastest, SPEEDS, dtype=torch.float64)[:, None]
-    load = _odd_load(model, named, joint, speed.expand(-1, len(draws)))
+    load = _friction(model, named, joint, speed.expand(-1, len(draws)))
     low, high = np.quantile(load[:, 1:], [0.025, 0.975], axis=1)
     return FrictionCurve(speed[:, 0].numpy(), load[:, 0], low, high)
 
 
-def _odd_load(model: ExtendedSystem, named: dict, joint: int, speed: torch.Tensor) -> np.ndarray:
+def _friction(model: ExtendedSystem, named: dict, joint: int, speed: torch.Tensor) -> np.ndarray:
+    odd, even = _odd_and_even_load(model, named, joint, speed)
+    if not model.effects:
+        return odd
+    return odd + even - _odd_and_even_load(ExtendedSystem(model.base, ()), named, joint, speed)[1]
+
+
+def _odd_and_even_load(
+    model: ExtendedSystem, named: dict, joint: int, speed: torch.Tensor
+) -> tuple[np.ndarray, np.ndarray]:
+    """Both parts of the load against a motion forward, without the load at rest."""
     law = model.accelerations(named)
     zero = torch.zeros_like(speed)
     still = tuple(zero for _ in range(model.joints))
@@ -76,12 +88,15 @@ def _odd_load(model: ExtendedSystem, named: dict, joint: int, speed: torch.Tenso
 
     # A unit load changes the acceleration by the inverse inertia that the joint feels.
     lightness = acceleration(zero, 1.0) - acceleration(zero, 0.0)
-    against = acceleration(-speed, 0.0) - acceleration(speed, 0.0)
-    return (0.5 * against / lightness).numpy()
+    back, forth = acceleration(-speed, 0.0), acceleration(speed, 0.0)
+    even = acceleration(zero, 0.0) - 0.5 * (back + forth)
+    return (0.5 * (back - forth) / lightness).numpy(), (even / lightness).numpy()
 
 
 def pushes(curve: FrictionCurve) -> bool:
     """Return whether the curve clearly drives the joint at some speed, which no friction does."""
-    with_motion = curve.speed > SLOWEST * curve.speed.max()
-    highest = curve.load + DRIVING_MARGIN * (curve.high - curve.load)
-    return bool((highest < 0.0)[with_motion].any())
+    moving = np.abs(curve.speed) > SLOWEST * curve.speed.max()
+    forward = curve.speed > 0.0
+    against = np.where(forward, curve.load, -curve.load)
+    beyond = np.where(forward, curve.high - curve.load, curve.load - curve.low)
+    return bool((against + DRIVING_MARGIN * beyond < 0.0)[moving].any())

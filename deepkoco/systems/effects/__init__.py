@@ -13,6 +13,7 @@ from deepkoco.systems.effects.actuator import (
     TORQUE_BIAS,
     UNIT_SLIP,
 )
+from deepkoco.systems.effects.asymmetric_friction import ASYMMETRIC_VISCOUS
 from deepkoco.systems.effects.body import FORCE, LENGTH, PAYLOAD, TILT
 from deepkoco.systems.effects.disturbance import COGGING, CONSTANT_LOAD, PERIODIC, SPRING
 from deepkoco.systems.effects.effect import Effect, PlacedEffect, SensorSite, place
@@ -50,6 +51,7 @@ EFFECTS: dict[str, Effect] = {
         STRIBECK,
         QUADRATIC,
         LOAD_FRICTION,
+        ASYMMETRIC_VISCOUS,
         BRISTLE,
         UNIT_SLIP,
         BACKLASH,

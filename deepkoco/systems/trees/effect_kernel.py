@@ -14,7 +14,8 @@ COMPILED_WITH = "b558a93d061d66bf"
 
 # Loads of effects that the loop knows; those from STRIBECK to before LEARNED are levels of dry friction. From LEARNED
 # on, each is a term of a learned load.
-VISCOUS, QUADRATIC, SPRING, COGGING, PERIODIC, CROSSTALK, STRIBECK, LOAD_FRICTION, LEARNED = range(9)
+VISCOUS, QUADRATIC, ASYMMETRIC_VISCOUS, SPRING, COGGING, PERIODIC, CROSSTALK = range(7)
+STRIBECK, LOAD_FRICTION, LEARNED = range(7, 10)
 MOST_VALUES = 5  # of an effect
 
 
@@ -70,6 +71,9 @@ def add_loads(kinds, places, values, drives, forces, angle, speed, time, effort,
         elif kind == QUADRATIC:
             for i in range(LANES):
                 load[j, i] -= values[e, 0, i] * speed[j, i] * abs(speed[j, i])
+        elif kind == ASYMMETRIC_VISCOUS:
+            for i in range(LANES):
+                load[j, i] -= 0.5 * values[e, 0, i] * abs(speed[j, i])
         elif kind == SPRING:
             for i in range(LANES):
                 load[j, i] -= values[e, 0, i] * (angle[j, i] - values[e, 1, i])

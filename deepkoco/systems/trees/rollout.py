@@ -17,7 +17,17 @@ from deepkoco.systems.trees.fast import FastLaw, common_shape
 from deepkoco.systems.trees.outside_forces import force_parts, force_table
 from deepkoco.systems.trees.tree import OutsideForce
 
-KINDS = ("viscous", "quadratic", "spring", "cogging", "periodic", "crosstalk", "stribeck", "load_friction")
+KINDS = (
+    "viscous",
+    "quadratic",
+    "asymmetric_viscous",
+    "spring",
+    "cogging",
+    "periodic",
+    "crosstalk",
+    "stribeck",
+    "load_friction",
+)
 """Effects whose loads the loop knows, in the order of its constants."""
 LEARNED = "learned"
 KNOWN = {kind: k for k, kind in enumerate((*KINDS, *(f"{LEARNED}.{term}" for term in TERMS)))}

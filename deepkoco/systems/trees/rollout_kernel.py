@@ -21,7 +21,7 @@ from deepkoco.systems.trees.newton_euler_kernel import LOAD, ROWS, SPARE
 from deepkoco.systems.trees.step_kernel import mean_levels, runge_kutta
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "e3b4c6d3e400501d"
+COMPILED_WITH = "d32488115d1672c7"
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

@@ -25,7 +25,7 @@ from deepkoco.systems.trees.newton_euler_kernel import (
 )
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "040e54be03ec0f40"
+COMPILED_WITH = "7eb30ceffcb8b1d0"
 
 
 @njit(error_model="numpy", nogil=True)

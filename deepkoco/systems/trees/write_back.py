@@ -173,6 +173,7 @@ class _Writer:
             "coulomb": lambda n, j, p: self.joints.add_friction(n, j, "frictionloss", p["torque"]),
             "stribeck": self._stribeck,
             "quadratic": self.joints.add_drag,
+            "asymmetric_viscous": self.joints.leave_out_asymmetric,
             "spring": self.joints.add_spring,
             "payload": self._payload,
             "force": self._force,

@@ -65,6 +65,15 @@ class JointWriter:
         unit = self.robot.per_speed_squared_units[joint]
         self.note(f'joint "{self.robot.joint_names[joint]}"', "damping 2", 0.0, values[1], unit, name)
 
+    def leave_out_asymmetric(self, name: str, joint: int, own: Values) -> None:
+        """Say how to add viscous friction that differs between the directions: MJCF has one damping for both."""
+        half, named = 0.5 * own["difference"], f"data.joint({self.robot.joint_names[joint]!r})"
+        self.leave_out(
+            name,
+            "MJCF has one damping for both directions; set "
+            f"{named}.qfrc_applied = {-half:.6g} * abs({named}.qvel) before each step",
+        )
+
     def add_spring(self, name: str, joint: int, own: Values) -> None:
         """Add a spring to the one that the joint may have already."""
         stiffness, centre = own["stiffness"], own.get("centre", 0.0)

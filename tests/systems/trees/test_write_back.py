@@ -234,6 +234,26 @@ def test_an_outside_force_is_named_with_the_numbers_to_set(arm):
     assert "data.body('fore').xfrc_applied[:3] = [0, 0, 1.5]" in extended_mjcf(system).left_out[0]
 
 
+def test_friction_that_differs_between_directions_moves_plain_mujoco_as_said(arm, monkeypatch):
+    system = ExtendedSystem(
+        arm, ("asymmetric_viscous(shoulder)",), {"asymmetric_viscous(shoulder).difference": 0.8}
+    )
+    written = extended_mjcf(system)
+    said = "data.joint('shoulder').qfrc_applied = -0.4 * abs(data.joint('shoulder').qvel)"
+    assert said in written.left_out[0]
+    ours, given = simulated(system), rolled_out(written.xml, 2)
+    step = mujoco.mj_step
+
+    def as_said(model, data):
+        data.joint("shoulder").qfrc_applied = -0.4 * abs(data.joint("shoulder").qvel)
+        step(model, data)
+
+    monkeypatch.setattr(mujoco, "mj_step", as_said)
+    scale = np.sqrt(np.mean(ours**2))
+    assert np.sqrt(np.mean((ours - rolled_out(written.xml, 2)) ** 2)) < 0.01 * scale
+    assert np.sqrt(np.mean((ours - given) ** 2)) > 0.05 * scale
+
+
 def test_a_robot_without_effects_is_written_as_it_was_given(arm):
     written = extended_mjcf(arm)
     assert written.changes == []
