@@ -25,7 +25,6 @@ DOSES: dict[str, Dose] = {
     "lost_commands": lambda x, load, command, time: {"share": min(0.01 * x, 0.5)},
     "clock_skew": lambda x, load, command, time: {"rate": 5e-4 * x},
     "viscous": lambda x, load, command, time: {"change": 0.02 * x * load * time},
-    "asymmetric_viscous": lambda x, load, command, time: {"difference": 0.02 * x * load * time},
     "coulomb": lambda x, load, command, time: {"torque": 0.01 * x * load},
     "stribeck": lambda x, load, command, time: {
         "coulomb": 0.002 * x * load,
@@ -60,6 +59,8 @@ DOSES: dict[str, Dose] = {
     "low_pass": lambda x, load, command, time: {"time_constant": 0.01 * time * x},
     "event": lambda x, load, command, time: {"torque": 0.1 * x * load, "start": 7.3, "duration": 0.2},
 }
+# Viscous friction that differs between directions has none: a joint without friction, as that of the rod pendulum, would
+# be driven one way, which no friction does.
 # What no cause of the catalogue is.
 OUTSIDE: dict[str, Dose] = {
     "turbulence": lambda x, load, command, time: {"size": 0.01 * x * load},

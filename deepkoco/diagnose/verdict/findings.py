@@ -19,7 +19,7 @@ from deepkoco.diagnose.residuals.residuals import MissingTorque
 from deepkoco.diagnose.verdict.open_scales import scale_variance
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem
-from deepkoco.systems import System
+from deepkoco.systems import Parameter, System
 
 CLEAR_TORQUE = 5.0  # standard deviations from which a missing torque is reported
 
@@ -217,8 +217,19 @@ def over_classes(
                 continue
             for name in set(own).intersection(fit.free):
                 # A member with more parameters may know less; what counts is how far its estimate is.
-                first, had, other, bound = own[name], result[name], fit.values[name], bounds[name]
-                low = max(other - (first.value - first.low), bound.low)
-                high = min(other + (first.high - first.value), bound.high)
-                result[name] = replace(had, low=min(had.low, low), high=max(had.high, high))
+                result[name] = covering(result[name], own[name], fit.values[name], bounds[name])
     return result
+
+
+def covering(had: Estimate, own: Estimate, other: float, bound: Parameter) -> Estimate:
+    """Return an estimate whose interval is as wide about another value, too.
+
+    Args:
+        had: The estimate, with the interval so far.
+        own: The same with the interval of its own fit, which gives the width.
+        other: Another estimate of the parameter.
+        bound: The parameter.
+    """
+    low = max(other - (own.value - own.low), bound.low)
+    high = min(other + (own.high - own.value), bound.high)
+    return replace(had, low=min(had.low, low), high=max(had.high, high))

@@ -36,6 +36,7 @@ from deepkoco.diagnose.residuals.residuals import (
 from deepkoco.diagnose.verdict.findings import evidence_for, finding, motion_of, over_classes
 from deepkoco.diagnose.verdict.noise_causes import scatter_findings
 from deepkoco.diagnose.verdict.same_as import evidence_of_priors, same_parameter
+from deepkoco.diagnose.verdict.under_colour import fit_under_colour, over_colour
 from deepkoco.diagnose.verdict.verdict import only_flexible, rivalled, verdict_of, without_explanation
 from deepkoco.diagnose.weighed import detection_of
 from deepkoco.fit.fit import Fit
@@ -62,6 +63,7 @@ class Judgement:
         gain: Held-out errors; None without held-out windows.
         doubts: Reasons for naming no cause, one sentence each.
         unfitted: What could not be fitted, in words.
+        coloured: Fit of the named causes under errors that are correlated in time; None where none is needed.
     """
 
     verdict: Verdict
@@ -75,6 +77,7 @@ class Judgement:
     gain: Gain | None
     doubts: tuple[str, ...]
     unfitted: tuple[str, ...]
+    coloured: Fit | None = None
 
     @property
     def load(self) -> ResidualModel | None:
@@ -131,7 +134,11 @@ def judge(request: DiagnosisRequest, explanation: Explanation) -> Judgement:
             doubts = (*doubts, *doubts_of_names(found.accepted, found.lost))
         else:
             learned = None
-    named = _named(request, explanation, missing) if verdict in ("cause", "ambiguous") else ()
+    named, coloured = (), None
+    if verdict in ("cause", "ambiguous"):
+        if found.accepted and request.limit.allows("estimates under correlated errors"):
+            coloured = fit_under_colour(found.acting, base.start, found.accepted, final)
+        named = _named(request, explanation, missing, coloured)
     if scattered and (verdict != "unknown" or (white and not found.accepted and found.lost is None)):
         # White residuals that are larger than the noise need a noise cause; no other cause is missing.
         verdict, named = (verdict if verdict == "ambiguous" else "cause"), (*named, *scattered)
@@ -143,7 +150,18 @@ def judge(request: DiagnosisRequest, explanation: Explanation) -> Judgement:
     if verdict == "unknown":
         named = (Finding("unknown", "unknown", ("unknown",), 0.0, 0.0, {}),)
     judgement = Judgement(
-        verdict, named, final, without.reference, left, missing, scattered, learned, gain, doubts, unfitted
+        verdict,
+        named,
+        final,
+        without.reference,
+        left,
+        missing,
+        scattered,
+        learned,
+        gain,
+        doubts,
+        unfitted,
+        coloured,
     )
     return _with_final_gain(judgement, without, found.accepted, seed)
 
@@ -171,7 +189,10 @@ def _learned_load(
 
 
 def _named(
-    request: DiagnosisRequest, explanation: Explanation, missing: Sequence[MissingTorque]
+    request: DiagnosisRequest,
+    explanation: Explanation,
+    missing: Sequence[MissingTorque],
+    coloured: Fit | None,
 ) -> tuple[Finding, ...]:
     base, found, system = explanation.base, explanation.found, request.system
     places = SLOTS * len(base.train)
@@ -196,6 +217,7 @@ def _named(
         named = finding(base.problem, best, ranking, members, evidence, given, chances, base.start)
         same = same_parameter(found.acting, best.cause, found.final, given, deflation)
         wide = over_classes(named.parameters, found.acting, found.accepted, found.steps, k)
+        wide = over_colour(wide, named.parameters, found.acting, coloured)
         result.append(replace(named, same_as=same, parameters=wide))
     return (*result, *([found.lost] if found.lost else []))
 

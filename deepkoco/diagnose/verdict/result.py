@@ -36,6 +36,7 @@ from deepkoco.diagnose.verdict.minor_causes import minor_causes
 from deepkoco.diagnose.verdict.moved import moved_parameters
 from deepkoco.diagnose.verdict.open_scales import scale_variance
 from deepkoco.diagnose.verdict.shortage import missing_for_diagnosis
+from deepkoco.diagnose.verdict.under_colour import over_colour
 from deepkoco.diagnose.verdict.unknown import describe
 from deepkoco.diagnose.weighed import detection_of
 from deepkoco.fit.fit import Fit
@@ -308,7 +309,8 @@ def _written(explanation: Explanation, judgement: Judgement) -> dict[str, Estima
         base.problem, fit, base.reference.free, judgement.left.deflation, scale_variance(base.start, fit)
     )
     if judgement.final is found.final:
-        own = over_classes(own, found.acting, found.accepted, found.steps)
+        wide = over_classes(own, found.acting, found.accepted, found.steps)
+        own = over_colour(wide, own, found.acting, judgement.coloured)
     if not _kept_as_given(judgement):
         return own
     given = {name: base.start.values[name] for name in own}
