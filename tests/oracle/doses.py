@@ -59,8 +59,8 @@ DOSES: dict[str, Dose] = {
     "low_pass": lambda x, load, command, time: {"time_constant": 0.01 * time * x},
     "event": lambda x, load, command, time: {"torque": 0.1 * x * load, "start": 7.3, "duration": 0.2},
 }
-# Viscous friction that differs between directions has none: a joint without friction, as that of the rod pendulum, would
-# be driven one way, which no friction does.
+# Viscous friction that differs between directions has none: it would drive a joint without friction, as that of the rod
+# pendulum, one way, which no friction does.
 # What no cause of the catalogue is.
 OUTSIDE: dict[str, Dose] = {
     "turbulence": lambda x, load, command, time: {"size": 0.01 * x * load},

@@ -29,7 +29,7 @@ from deepkoco.diagnose.evidence.seen_when_healthy import (
     healthy_shows_pushes,
     hypotheses_of,
 )
-from deepkoco.diagnose.evidence.selected import Selected, fall_of_bic
+from deepkoco.diagnose.evidence.selected import Selected, fall_of_bic, on_refit
 from deepkoco.diagnose.evidence.selection import FURTHER, rank, without_events_first
 from deepkoco.diagnose.evidence.selection_task import SelectionTask
 from deepkoco.diagnose.evidence.start_values import Hints
@@ -72,7 +72,7 @@ class Selection(SelectionTask):
         self.before, self.cost = reference.chi2, reference.cost
         nothing = Selected(reference, (), (), self.problem)
         forward = self._forward(nothing, first, hints)
-        first = forward.steps[0][0] if forward.steps else first
+        first = on_refit(forward.steps) or first
         plain = self._pruned(forward)
         lossy = self._with_losses(nothing, forward, plain)
         if lossy is None:
@@ -183,7 +183,7 @@ class Selection(SelectionTask):
 
     def _pruned(self, found: Selected) -> Selected:
         """Compare each cause again and eliminate causes, until nothing changes or the rounds are used up."""
-        first = found.steps[0][0] if found.steps and found.lost is None else None
+        first = on_refit(found.steps) if found.lost is None else None
         for _ in range(MAX_ROUNDS):
             kept = self._kept(reconsidered(self, found))
             if kept.accepted == found.accepted:
@@ -253,7 +253,8 @@ class Selection(SelectionTask):
         if best is None and not left and plain.accepted:
             return None
         prefixes = [nothing] if plain.accepted else []
-        if len(forward.accepted) > 1 and forward.accepted[:1] != plain.accepted:
+        several = len(forward.accepted) > 1 and not forward.steps[0][0].beside
+        if several and forward.accepted[:1] != plain.accepted:
             step = forward.steps[0]
             prefixes.append(
                 replace(nothing, final=step[0].best.fit, accepted=forward.accepted[:1], steps=(step,))

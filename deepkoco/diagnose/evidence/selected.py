@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from deepkoco.diagnose.baseline import Baseline
@@ -46,6 +47,15 @@ class Selected:
     minor: tuple[Minor, ...] = ()
     usual: bool = False
     plain: Selected | None = None
+
+
+def on_refit(steps: Sequence[Step]) -> Ranking | None:
+    """Return the first ranking that was made on the refit alone, of the steps of a selection; None without one.
+
+    Where causes of all joints were accepted at once, the first of them that is left may have been ranked beside others
+    that were removed since. The reference of such a ranking is no refit of the simulation as given.
+    """
+    return next((ranking for ranking, _ in steps if not ranking.beside), None)
 
 
 def fall_of_bic(found: Selected, reference: Fit, lowest: Fit, start: Baseline, train: Windows) -> float:
