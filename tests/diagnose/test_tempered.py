@@ -11,6 +11,7 @@ from deepkoco.diagnose.evidence.joint_by_joint import best_of_each_joint
 from deepkoco.diagnose.evidence.promising import PER_PLACE, best_of_each_place
 from deepkoco.diagnose.evidence.ranking import Candidate, Ranking
 from deepkoco.diagnose.evidence.screening import StartPoint
+from deepkoco.diagnose.evidence.selected import on_refit
 from deepkoco.diagnose.tempered import tempered_to, told
 from deepkoco.fit import cut_windows
 from deepkoco.fit.solve.dispersion import dispersion
@@ -78,6 +79,14 @@ def test_best_of_each_joint_leaves_out_pushes_what_is_weak_and_what_was_not_fitt
         },
     )
     assert [c.cause.name for c in best_of_each_joint(ranking, 30.0)] == [f"coulomb{one}", f"coulomb{two}"]
+
+
+def test_a_ranking_beside_causes_that_were_removed_since_is_not_taken_for_one_on_the_refit(arm):
+    one = ranked(arm, {"sensing_delay": 50.0})
+    beside = replace(one, beside=("spring(joint 2)",))
+    assert on_refit([(beside, ("sensing_delay",)), (one, ("sensing_delay",))]) is one
+    assert on_refit([(beside, ("sensing_delay",))]) is None
+    assert on_refit([]) is None
 
 
 def test_best_of_each_place_keeps_as_many_causes_of_every_joint(arm):
