@@ -175,6 +175,8 @@ class Diagnosis:
         probabilities: Of "nothing", where nothing is missing, and of what might be missing all the same.
         time_limit: Time that was allowed [s]; None for no limit.
         left_out: Steps that were not made because this time was over.
+        correlated: Values of the parameters of `model` under errors that are correlated in time; empty where these are
+            no other estimates.
     """
 
     verdict: Verdict
@@ -203,6 +205,7 @@ class Diagnosis:
     probabilities: dict[str, float] = field(default_factory=dict)
     time_limit: float | None = None
     left_out: tuple[str, ...] = ()
+    correlated: dict[str, float] = field(default_factory=dict)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -257,6 +260,7 @@ class Diagnosis:
                     "window_s": self.window_s,
                     "refit": {n: vars(e) for n, e in self.refit.items()},
                     "final": {n: vars(e) for n, e in self.final.items()},
+                    "correlated": self.correlated,
                     "prior_sds": self.prior_sds,
                     "moved": [m.to_json() for m in self.moved],
                 },

@@ -94,6 +94,7 @@ def diagnosis_of(request: DiagnosisRequest, explanation: Explanation, judgement:
         moved=_moved(explanation, judgement) if judgement.verdict == "nothing" else (),
         time_limit=request.limit.seconds,
         left_out=tuple(request.limit.left_out),
+        correlated=_correlated(judgement),
         probabilities=_of_nothing(request, explanation) if judgement.verdict == "nothing" else {},
     )
 
@@ -315,6 +316,11 @@ def _written(explanation: Explanation, judgement: Judgement) -> dict[str, Estima
         return own
     given = {name: base.start.values[name] for name in own}
     return {name: Estimate(given[name], given[name], given[name], e.unit) for name, e in own.items()}
+
+
+def _correlated(judgement: Judgement) -> dict[str, float]:
+    fit = judgement.coloured
+    return {} if fit is None or _kept_as_given(judgement) else {n: fit.values[n] for n in fit.free}
 
 
 def _kept_as_given(judgement: Judgement) -> bool:

@@ -72,6 +72,7 @@ def summary(diagnosis: Diagnosis, seconds: float) -> dict:
         "chi2_per_sample": [diagnosis.chi2_before, diagnosis.chi2_after],
         "refit": {n: [p.value, p.low, p.high, p.unit] for n, p in diagnosis.refit.items()},
         "final": {n: [p.value, p.low, p.high, p.unit] for n, p in diagnosis.final.items()},
+        "correlated": diagnosis.correlated,
         "model": {p.name: p.value for p in diagnosis.model.parameters},
         "candidates": [[c.name, c.delta_bic] for c in diagnosis.candidates[:10]],
         "not_identified": diagnosis.unexplained["not_identified"] if diagnosis.unexplained else [],
