@@ -59,16 +59,19 @@ class Unit(NamedTuple):
     ripple: float = 0.0
 
 
-def log_of(unit: Unit, seed: int, seconds: float = 24.0) -> Recording:
+def log_of(unit: Unit, seed: int, seconds: float = 24.0, motion: int | None = None) -> Recording:
     """A log of the unit under a controller that follows ramps of speed.
 
     Args:
         unit: The unit.
         seed: Of the ramps, the ripple, and the noise of the encoder.
         seconds: Length of the log.
+        motion: Seed of the ramps of another motion of the same unit; None takes those of ``seed``.
     """
     rng = np.random.default_rng(seed)
     wanted = _ramps(rng, seconds)
+    if motion is not None:
+        wanted = _ramps(np.random.default_rng(motion), seconds)
     phase, turns = rng.uniform(0.0, 2.0 * np.pi, 3), 2.0 * np.pi * rng.uniform(8.0, 40.0, 3)
     dt, q, v, held = 1.0 / (RATE * FINE), 0.0, 0.0, 0.0
     goal, t, shown, force = 0.0, [], [], []
