@@ -34,15 +34,41 @@ from deepkoco.runs.train import is_finished
 from experiments.plumbing.provenance import as_markdown
 
 OWN = "experiments.studies.learning.untuned_envs"
+
+
+def _gymnasium(name: str, time_step: float) -> list[str]:
+    return ["task=gymnasium", f"task.id={name}", f"agent.model.time_step={time_step}"]
+
+
+def _dm_control(domain: str, task: str, repeat: int, time_step: float) -> list[str]:
+    """A task of the suite that no file of `configs/task` names, settled like those."""
+    found = _gymnasium("deepkoco/DmControl-v0", time_step)
+    kwargs = (("domain", domain), ("task", task), ("action_repeat", repeat))
+    return [*found, *(f"+task.kwargs.{name}={value}" for name, value in kwargs)]
+
+
 TASKS = {
-    "unbounded_cart": ["task=gymnasium", f"task.id={OWN}:UnboundedCart-v0"],
-    "rail_cart": ["task=gymnasium", f"task.id={OWN}:RailCart-v0"],
-    "balance": ["task=gymnasium", f"task.id={OWN}:Balance-v0", "agent.model.time_step=0.02"],
+    "unbounded_cart": _gymnasium(f"{OWN}:UnboundedCart-v0", 0.05),
+    "rail_cart": _gymnasium(f"{OWN}:RailCart-v0", 0.05),
+    "balance": _gymnasium(f"{OWN}:Balance-v0", 0.02),
     "gymnasium_pendulum": ["task=gymnasium_pendulum"],
     "mountain_car": ["task=gymnasium", "task.id=MountainCarContinuous-v0"],
+    "inverted_pendulum": _gymnasium("InvertedPendulum-v5", 0.04),
+    "inverted_double_pendulum": _gymnasium("InvertedDoublePendulum-v5", 0.05),
+    "gymnasium_reacher": _gymnasium("Reacher-v5", 0.02),
     "dm_cartpole_swingup": ["task=dm_cartpole_swingup"],
+    "dm_pendulum_swingup": ["task=dm_pendulum_swingup"],
     "dm_reacher_easy": ["task=dm_reacher_easy"],
+    "dm_ball_in_cup_catch": _dm_control("ball_in_cup", "catch", 4, 0.08),
+    "dm_finger_spin": _dm_control("finger", "spin", 2, 0.04),
+    "dm_point_mass_easy": _dm_control("point_mass", "easy", 4, 0.08),
 }
+"""Settings of each task: which one, and its time step where the default is not it. No setting of the learning."""
+TEN = (
+    "unbounded_cart rail_cart gymnasium_pendulum mountain_car inverted_double_pendulum gymnasium_reacher "
+    "dm_cartpole_swingup dm_pendulum_swingup dm_reacher_easy dm_ball_in_cup_catch"
+).split()
+"""Ten of them, chosen before any run of the last seven: what is counted."""
 VARIANTS = {
     "as_published": ["+learning=as_published"],
     "default": [],
