@@ -22,6 +22,7 @@ OLDER_SETTINGS = {
     "keep": "last",
     "warm_start": 0.0,
     "scale": False,
+    "measure_action_cost": False,
     "relative_cost": 0.0,
     "largest_gradient": 0.0,
     "noise_unit": "action",
@@ -71,6 +72,9 @@ class TrainingConfig:
     scale: bool = True
     """Learn from standardised observations and costs of a fixed mean, as found in the first episodes; off: from those
     of the environment, as published."""
+    measure_action_cost: bool = True
+    """With `scale`: measure in the first episodes what the task charges for actions and plan with that R; off: every
+    task charges `model.action_weight`, as published."""
     relative_cost: float = 0.05
     """Share of the mean cost from which on errors of the cost count relative to it; 0: all alike, as published."""
     first_epochs: int = 100

@@ -7,7 +7,7 @@ from typing import Any
 
 from deepkoco.agent.buffer import Episode, EpisodeBuffer
 from deepkoco.agent.config import TrainingConfig
-from deepkoco.agent.first_episodes import often_ended, random_count
+from deepkoco.agent.first_episodes import often_ended, random_count, task_units
 from deepkoco.agent.replay_files import read_replay, write_replay
 from deepkoco.agent.task_scale import TaskScale
 from deepkoco.koopman.exported import Array, ExportedModel
@@ -58,7 +58,7 @@ class Experience:
             ReplayError: No episode is as long as a training window.
         """
         if iteration == 0 and self._config.scale:
-            self.scale = TaskScale.of(episodes, *self._limits)
+            self.scale = task_units(self._config, episodes, *self._limits)
         self._take(episodes)
         self.buffer.check_windows(self._config.horizon)
         write_replay(self._folder, iteration, episodes)

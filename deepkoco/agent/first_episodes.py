@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from gymnasium.vector import VectorEnv
 
+from deepkoco.agent.action_cost import measure_action_cost
 from deepkoco.agent.agent import VectorAgent
 from deepkoco.agent.buffer import Episode
 from deepkoco.agent.collection import collect_episodes, episode_costs
@@ -29,6 +30,21 @@ TRIALS = 6
 def random_count(config: TrainingConfig) -> int:
     """Episodes of the first iteration that are moved by noise alone."""
     return max(1, round(config.first_episodes * (1.0 - config.warm_start)))
+
+
+def task_units(config: TrainingConfig, episodes: Sequence[Episode], low: Array, high: Array) -> TaskScale:
+    """The units that a task is learned in.
+
+    Args:
+        config: Hyper-parameters.
+        episodes: Of the first iteration, those of noise alone first: they show what actions cost.
+        low: a_min (M,).
+        high: a_max (M,).
+    """
+    cost = None
+    if config.measure_action_cost and episodes[0].observations.dim() == 2:
+        cost = measure_action_cost(episodes[: random_count(config)])
+    return TaskScale.of(episodes, low, high, cost)
 
 
 def often_ended(random: Sequence[Episode]) -> bool:
@@ -67,14 +83,14 @@ def planner_of_linear(planner: PlannerConfig) -> PlannerConfig:
 
 
 def fit_linear(
-    episodes: Sequence[Episode], time_step: float, action_weight: float, horizon: int, seed: int
+    episodes: Sequence[Episode], time_step: float, action_weight: float | Array, horizon: int, seed: int
 ) -> LiftedLinearModel:
     """EDMDc of recorded episodes.
 
     Args:
         episodes: With observations that are states.
         time_step: Seconds per step.
-        action_weight: R.
+        action_weight: R, one for all actions or one each (M,).
         horizon: H.
         seed: Of its draws.
 
@@ -136,10 +152,10 @@ def collect_first(
     calm = often_ended(episodes)
     linear, failures, planner = None, 0, planner_of_linear(config.planner)
     if random < count and episodes[0].observations.dim() == 2:
-        weight = config.model.action_weight
+        weight: float | Array = config.model.action_weight
         if config.scale:
-            units = TaskScale.of(episodes, low, high)
-            weight, planner = units.weight(weight), units.planner(planner)
+            units = task_units(config, episodes, low, high)
+            weight, planner = units.action_weight(config.model.action_weight), units.planner(planner)
         with suppress(LiftedModelError):
             linear = fit_linear(episodes, config.model.time_step, weight, planner.horizon, seeds[1])
     for number, left in enumerate((min(TRIALS, count - random), count - random - TRIALS)):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -32,6 +32,8 @@ class TaskScale:
         action: A quarter of the range of each action (M,).
         cost: Cost of a step that counts as 1.
         lowest: Cost that counts as 0; below 0 where the task pays, which a squared cost cannot represent.
+        action_cost: What the task charges for each squared action (M,), see `measure_action_cost`; R knows it, so that
+            what is learned is the cost of the state alone. Empty: nothing.
     """
 
     mean: Array
@@ -39,30 +41,36 @@ class TaskScale:
     action: Array
     cost: float
     lowest: float = 0.0
+    action_cost: Array = field(default_factory=lambda: np.zeros(0))
 
     @classmethod
-    def of(cls, episodes: Sequence[Episode], low: Array, high: Array) -> TaskScale:
+    def of(
+        cls, episodes: Sequence[Episode], low: Array, high: Array, action_cost: Array | None = None
+    ) -> TaskScale:
         """From the first episodes; numbers that are not finite are left out.
 
         Args:
             episodes: As they were recorded.
             low: a_min (M,).
             high: a_max (M,).
+            action_cost: See there; None for nothing.
         """
+        charged = np.zeros(0) if action_cost is None or not action_cost.any() else action_cost
+        episodes = [without_action_cost(episode, charged) for episode in episodes]
         lowest = lowest_cost(episodes)
         costs = np.concatenate([with_end(e, lowest, 1).costs.numpy() for e in episodes]).astype(np.float64)
         costs = np.maximum(costs[np.isfinite(costs)] - lowest, 0.0)
         action = np.where(high > low, (high - low) / 4.0, 1.0)
         cost = float(costs.mean()) / MEAN_COST if costs.size and costs.mean() > 0.0 else 1.0
         if episodes[0].observations.dim() != 2:
-            return cls(np.zeros(0), np.zeros(0), action, cost, lowest)
+            return cls(np.zeros(0), np.zeros(0), action, cost, lowest, charged)
         seen = np.concatenate([episode.observations.numpy() for episode in episodes]).astype(np.float64)
         seen = seen[np.isfinite(seen).all(1)]
         if not len(seen):
             seen = np.zeros((1, episodes[0].observations.shape[1]))
         spread = seen.std(0)
         moving = spread > SMALLEST_SPREAD
-        return cls(np.where(moving, seen.mean(0), 0.0), np.where(moving, spread, 1.0), action, cost, lowest)
+        return cls(np.where(moving, seen.mean(0), 0.0), np.where(moving, spread, 1.0), action, cost, lowest, charged)
 
     def apply(self, episode: Episode, horizon: int) -> Episode:
         """An episode in the units of learning.
@@ -71,7 +79,7 @@ class TaskScale:
             episode: As it was recorded.
             horizon: T; so many steps that pay nothing follow where a task that pays ended the episode.
         """
-        episode = with_end(episode, self.lowest, horizon)
+        episode = with_end(without_action_cost(episode, self.action_cost), self.lowest, horizon)
         costs = ((episode.costs.double() - self.lowest).clamp(min=0.0) / self.cost).float()
         actions = (episode.actions.double() / torch.from_numpy(self.action)).float()
         if not self.mean.size:
@@ -106,16 +114,22 @@ class TaskScale:
             encoder=tuple(encoder),
             decoder=tuple(decoder),
             cost_factor=(*model.cost_factor[:-1], (weight * root, bias * root)),
-            action_weight=self.weight(model.action_weight),
+            action_weight=self.action_weight(float(model.action_weight)),
         )
 
-    def weight(self, weight: float) -> float:
-        """A weight of squared actions, R or R~, in the task's own units."""
-        return weight * self.cost / float(np.square(self.action).mean())
+    def action_weight(self, weight: float) -> float | Array:
+        """R in the task's own units, one for all actions or one each (M,), with what the task charges for them."""
+        if not self.action_cost.size and (self.action == self.action[0]).all():
+            return self._weight(weight)
+        return weight * self.cost / np.square(self.action) + (self.action_cost if self.action_cost.size else 0.0)
 
     def planner(self, planner: PlannerConfig) -> PlannerConfig:
         """Settings of the planner for the task's own units."""
-        return replace(planner, increment_weight=self.weight(planner.increment_weight))
+        return replace(planner, increment_weight=self._weight(planner.increment_weight))
+
+    def _weight(self, weight: float) -> float:
+        """A weight of all squared actions in the task's own units."""
+        return weight * self.cost / float(np.square(self.action).mean())
 
     def state_dict(self) -> dict[str, Any]:
         """What a checkpoint needs."""
@@ -125,13 +139,15 @@ class TaskScale:
             "action": self.action.tolist(),
             "cost": self.cost,
             "lowest": self.lowest,
+            "action_cost": self.action_cost.tolist(),
         }
 
     @classmethod
     def from_state(cls, state: dict[str, Any]) -> TaskScale:
         """Restore what `state_dict` gave."""
         mean, spread, action = (np.array(state[name], np.float64) for name in ("mean", "spread", "action"))
-        return cls(mean, spread, action, state["cost"], state["lowest"])
+        charged = np.array(state.get("action_cost", []), np.float64)  # earlier releases did not measure it
+        return cls(mean, spread, action, state["cost"], state["lowest"], charged)
 
 
 def lowest_cost(episodes: Sequence[Episode]) -> float:
@@ -142,6 +158,19 @@ def lowest_cost(episodes: Sequence[Episode]) -> float:
     costs = np.concatenate([episode.costs.numpy() for episode in episodes]).astype(np.float64)
     costs = costs[np.isfinite(costs)]
     return min(0.0, float(np.quantile(costs, RARE))) if costs.size else 0.0
+
+
+def without_action_cost(episode: Episode, action_cost: Array) -> Episode:
+    """An episode with what the state alone cost.
+
+    Args:
+        episode: As it was recorded.
+        action_cost: See `TaskScale`; empty leaves the episode as it is.
+    """
+    if not action_cost.size:
+        return episode
+    charged = episode.actions.double().square() @ torch.from_numpy(action_cost)
+    return replace(episode, costs=(episode.costs.double() - charged).float())
 
 
 def with_end(episode: Episode, lowest: float, steps: int) -> Episode:

@@ -119,7 +119,7 @@ class LoadedModel:
         return self.latent_model.time_step
 
     @property
-    def action_weight(self) -> float:
+    def action_weight(self) -> float | Array:
         """R of the predicted cost."""
         return self.latent_model.action_weight
 
@@ -206,7 +206,7 @@ class LoadedModel:
             latents.append(dynamics.advance(latents[-1]) + step @ rows[1:])
         actions = np.asarray(action, np.float64) + np.vstack((np.zeros((1, steps.shape[1])), steps)).cumsum(0)
         stacked = np.array(latents)
-        costs = np.square(stacked @ factor.T).sum(-1) + self.action_weight * np.square(actions).sum(-1)
+        costs = np.square(stacked @ factor.T).sum(-1) + (self.action_weight * np.square(actions)).sum(-1)
         return Prediction(stacked, actions, costs)
 
     def save(self, folder: str | Path) -> None:

@@ -29,7 +29,7 @@ class ExportedModel:
         mu: Growth rates (P,) [1/s].
         omega: Frequencies (P,) [rad/s].
         time_step: Seconds per step.
-        action_weight: R of the cost model.
+        action_weight: R of the cost model, one for all actions or one each (M,).
         action_size: M.
         decoder: The layers of phi^-1; empty where B and C are frozen over a rollout.
         frame_encoder: Gives the features of frames, of which an observation then is a stack.
@@ -40,7 +40,7 @@ class ExportedModel:
     mu: Array
     omega: Array
     time_step: float
-    action_weight: float
+    action_weight: float | Array
     action_size: int
     decoder: tuple[tuple[Array, Array], ...] = ()
     frame_encoder: ExportedFrameEncoder | None = None

@@ -187,8 +187,8 @@ class LatentModel(Protocol):
         ...
 
     @property
-    def action_weight(self) -> float:
-        """R."""
+    def action_weight(self) -> float | Array:
+        """R, one for all actions or one each (M,)."""
         ...
 
     @property

@@ -41,8 +41,8 @@ class BoxProgram:
         steps, actions = problem.horizon, problem.action_low.size
         self._problem = problem
         difference = np.eye(steps) - np.eye(steps, k=-1)
-        fixed = problem.action_weight * np.eye(steps) + problem.increment_weight * difference.T @ difference
-        self._fixed = np.asarray(2.0 * np.kron(fixed, np.eye(actions)), np.float64)
+        fixed = np.kron(problem.increment_weight * difference.T @ difference, np.eye(actions))
+        self._fixed = np.asarray(2.0 * (np.diag(problem.action_weights) + fixed), np.float64)
         low, high = np.tile(problem.action_low, steps), np.tile(problem.action_high, steps)
         self._solver = make_box_solver(solver, low, high, tolerance)
         self._refinement = Refinement(problem, self._fixed)
@@ -106,7 +106,7 @@ class BoxProgram:
         """See `Program.planned_cost`."""
         matrix, free = self._response
         y, flat = free + matrix @ planned.ravel(), planned.ravel()
-        return float(y @ y + self._problem.action_weight * flat @ flat)
+        return float(y @ y + self._problem.action_weights * flat @ flat)
 
     def conditioning(self) -> float:
         """See `Program.conditioning`."""

@@ -131,4 +131,4 @@ class CrossEntropyMethod:
                 inputs, _ = self._decodable.linearise_along(latent, plans[:, k])
         factors = factor if self._frozen else self._model.factor(latents)
         y = (factors @ latents[..., None])[..., 0]
-        return np.einsum("ksr,ksr->s", y, y) + problem.action_weight * np.einsum("skm,skm->s", plans, plans)
+        return np.einsum("ksr,ksr->s", y, y) + np.einsum("skm,skm->s", problem.action_weight * plans, plans)

@@ -96,7 +96,7 @@ class PlanningProblem:
         dynamics: A of the free motion s' = A s, for one step.
         action_low: a_min (M,).
         action_high: a_max (M,).
-        action_weight: R.
+        action_weight: R, one for all actions or one each (M,).
         increment_weight: R~.
         horizon: H.
         cost_rank: r, rows of the cost factor.
@@ -105,7 +105,12 @@ class PlanningProblem:
     dynamics: LatentDynamics
     action_low: Array
     action_high: Array
-    action_weight: float
+    action_weight: float | Array
     increment_weight: float
     horizon: int
     cost_rank: int = 1
+
+    @property
+    def action_weights(self) -> Array:
+        """R of each planned action (H M,)."""
+        return np.tile(np.broadcast_to(self.action_weight, self.action_low.shape), self.horizon)

@@ -85,7 +85,8 @@ class SparseProgram:
         self._entries = data.real.astype(np.float64)
         self._right = np.zeros(int(ends[2]))
 
-        weights: Array = np.repeat([0.0, 1.0, problem.action_weight, problem.increment_weight], sizes)
+        weights: Array = np.repeat([0.0, 1.0, 0.0, problem.increment_weight], sizes)
+        weights[self._parts[2]] = problem.action_weights
         low, high = np.full(int(ends[3]), -np.inf), np.full(int(ends[3]), np.inf)
         low[self._parts[2]] = np.tile(problem.action_low, steps)
         high[self._parts[2]] = np.tile(problem.action_high, steps)
@@ -129,7 +130,7 @@ class SparseProgram:
         """See `Program.planned_cost`; y is that of the last solution, whatever the plan."""
         assert self._solution is not None
         y, flat = self._solution[self._parts[1]], planned.ravel()
-        return float(y @ y + self._problem.action_weight * flat @ flat)
+        return float(y @ y + self._problem.action_weights * flat @ flat)
 
     def conditioning(self) -> float:
         """NaN: the Hessian is singular by design, as it has no entries for the latents."""

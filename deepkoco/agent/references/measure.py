@@ -29,7 +29,7 @@ class Trained:
         first: The first episodes as they were recorded.
         rows: Metrics, one row per iteration.
         planner: Settings of the planner, also for EDMDc.
-        action_weight: R.
+        action_weight: R, one for all actions or one each (M,).
         time_step: Seconds per step.
         low, high: Limits of the actions (M,).
         window: T + 1, see `Evidence`.
@@ -44,7 +44,7 @@ class Trained:
     first: Sequence[Episode]
     rows: Sequence[Row]
     planner: PlannerConfig
-    action_weight: float
+    action_weight: float | Array
     time_step: float
     low: Array
     high: Array

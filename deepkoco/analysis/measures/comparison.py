@@ -23,7 +23,7 @@ class ReferenceCostError(ValueError):
 
 
 def fit_comparison(
-    steps: Steps, time_step: float, action_weight: float, generator: np.random.Generator
+    steps: Steps, time_step: float, action_weight: float | Array, generator: np.random.Generator
 ) -> LiftedLinearModel:
     """Fit EDMDc and its quadratic cost to recorded episodes.
 

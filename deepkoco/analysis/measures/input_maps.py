@@ -45,7 +45,7 @@ def input_maps(model: LatentModel, points: Points, action: Array) -> InputMaps:
         input_size=np.linalg.norm(columns, axis=-1),
         factor_size=np.linalg.norm(factors, axis=(-2, -1)),
         gain=gain[..., 0] if model.cost_rank == 1 else np.linalg.norm(gain, axis=-1),
-        cost=readout + model.action_weight * np.square(action).sum(),
+        cost=readout + (model.action_weight * np.square(action)).sum(),
     )
 
 

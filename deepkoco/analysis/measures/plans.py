@@ -56,7 +56,7 @@ def make_plan(model: LatentModel, planner: Planner, horizon: int, observation: A
         latent = model.dynamics.advance(latent) + step @ rows[1:]
         latents.append(latent)
     readout = np.stack(latents) @ factor.T
-    costs = np.square(readout).sum(-1) + model.action_weight * np.square(actions).sum(-1)
+    costs = np.square(readout).sum(-1) + (model.action_weight * np.square(actions)).sum(-1)
     return Plan(actions[1:], costs)
 
 

@@ -63,7 +63,7 @@ class Pruning:
         return mask
 
 
-def prune(modes: Modes, rollout: Rollout, action_weight: float) -> Pruning:
+def prune(modes: Modes, rollout: Rollout, action_weight: float | Array) -> Pruning:
     """Take out one pair after the other, always the one whose loss raises the prediction error least.
 
     Args:
@@ -82,7 +82,7 @@ def prune(modes: Modes, rollout: Rollout, action_weight: float) -> Pruning:
         rollout.latents,
     )[:, 1:]  # (W, H, r, P)
     split = split.reshape(-1, *split.shape[2:])
-    action_cost = action_weight * np.square(rollout.actions[:, 1:]).sum(-1).ravel()
+    action_cost = (action_weight * np.square(rollout.actions[:, 1:])).sum(-1).ravel()
     wanted = rollout.costs[:, 1:].ravel() - action_cost
 
     def error(readout: Array) -> float:

@@ -61,7 +61,7 @@ def roll_out(model: LatentModel, steps: Steps, first: NDArray[np.int64], horizon
     return Rollout(rolled, encoded, factors, actions, steps.costs[index], predicted)
 
 
-def predicted_cost(factors: Array, latents: Array, actions: Array, action_weight: float) -> Array:
+def predicted_cost(factors: Array, latents: Array, actions: Array, action_weight: float | Array) -> Array:
     """|C s|^2 + R a'a along windows.
 
     Args:
@@ -76,4 +76,4 @@ def predicted_cost(factors: Array, latents: Array, actions: Array, action_weight
     Source: DeepKoCo, Eq. 5.8.
     """
     readout = latents @ factors.swapaxes(-1, -2)
-    return np.square(readout).sum(-1) + action_weight * np.square(actions).sum(-1)
+    return np.square(readout).sum(-1) + (action_weight * np.square(actions)).sum(-1)

@@ -38,7 +38,7 @@ def held_cost(model: LatentModel, observations: Array, actions: Array, horizon: 
     for _ in range(horizon + 1):
         total += np.square((factors * latent[:, None]).sum(-1)).sum(-1)
         latent = model.dynamics.advance(latent)
-    return first, total / (horizon + 1) + model.action_weight * np.square(actions).sum(-1)
+    return first, total / (horizon + 1) + (model.action_weight * np.square(actions)).sum(-1)
 
 
 def input_sensitivity(model: LatentModel, observations: Array, actions: Array, horizon: int) -> Sensitivity:

@@ -39,7 +39,7 @@ class WrappedModel:
         return self.model.cost_rank
 
     @property
-    def action_weight(self) -> float:
+    def action_weight(self) -> float | Array:
         """R."""
         return self.model.action_weight
 

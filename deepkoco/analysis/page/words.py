@@ -9,6 +9,7 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 import deepkoco
 from deepkoco.analysis.measures.comparison import EpisodeCost
@@ -78,7 +79,7 @@ def facts(run: TrainedRun, episodes: int, seed: int) -> dict[str, str]:
         "seed of the run": str(settings.seed),
         "training horizon T": trained,
         "planning horizon H": str(planner.horizon),
-        "weights R, R~": f"{run.model.action_weight:g}, {planner.increment_weight:g}",
+        "weights R, R~": f"{_one_or_each(run.model.action_weight)}, {planner.increment_weight:g}",
         "solver": f"{planner.solver}, {planner.form} form",
         "limits of the action": f"{run.action_low.tolist()} to {run.action_high.tolist()}",
         "episodes of this page": f"{episodes}, noise-free, seed {seed}; distractors from the evaluation split",
@@ -107,3 +108,8 @@ def pages_around(run: TrainedRun) -> dict[str, Path]:
     """Pages that a run came from: the diagnosis behind the simulation that it was trained in."""
     model = run.settings.task.kwargs.get("model")
     return {"Diagnosis": Path(str(model)).parent / "report.html"} if model else {}
+
+
+def _one_or_each(weight: float | NDArray[np.float64]) -> str:
+    """A weight of all actions, or those of each."""
+    return f"{weight:g}" if np.ndim(weight) == 0 else f"({', '.join(f'{w:g}' for w in np.ravel(weight))})"

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from deepkoco.koopman.files.stored_values import number_above, text, whole_number
+from deepkoco.koopman.files.stored_values import number_above, text, weights, weights_as_stored, whole_number
 from deepkoco.koopman.lifting.lifted_linear import LiftedCost, LiftedLinearModel
 from deepkoco.koopman.lifting.lifting import (
     Array,
@@ -69,7 +69,7 @@ def lifted_parts(model: LiftedLinearModel) -> tuple[dict[str, Any], dict[str, Ar
                 arrays[f"lifting.{i}.weight"], arrays[f"lifting.{i}.bias"] = weight, bias
         else:
             lifting[field.name] = value
-    settings = {"time_step": model.time_step, "action_weight": model.action_weight, "lifting": lifting}
+    settings = {"time_step": model.time_step, "action_weight": weights_as_stored(model.action_weight), "lifting": lifting}
     return settings, arrays
 
 
@@ -89,7 +89,7 @@ def read_lifted(settings: Mapping[str, Any], arrays: Mapping[str, Array]) -> Lif
         ValueError: Parts do not fit each other; the message names the first that does not.
     """
     lifting = _read_lifting(settings["lifting"], arrays)
-    weight = number_above(settings["action_weight"], "action_weight", 0.0, equal=True)
+    weight = weights(settings["action_weight"], "action_weight")
     cost = LiftedCost(arrays["cost.factor"], arrays["cost.offset"], weight)
     if cost.factor.ndim != 2 or cost.offset.ndim != 1:
         raise ValueError(f"cost.factor has shape {cost.factor.shape}")

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from deepkoco.koopman.exported import Array, ExportedModel
 from deepkoco.koopman.files.frame_arrays import frame_arrays, frame_settings, read_frame_encoder
-from deepkoco.koopman.files.stored_values import number_above, whole_number
+from deepkoco.koopman.files.stored_values import number_above, weights, weights_as_stored, whole_number
 
 MOST_LAYERS = 100
 Layers = tuple[tuple[Array, Array], ...]
@@ -31,7 +33,7 @@ def network_parts(model: ExportedModel) -> tuple[dict[str, Any], dict[str, Array
             arrays[f"{name}.{i}.weight"], arrays[f"{name}.{i}.bias"] = weight, bias
     settings: dict[str, Any] = {
         "time_step": model.time_step,
-        "action_weight": model.action_weight,
+        "action_weight": weights_as_stored(model.action_weight),
         "action_size": model.action_size,
         "layers": {name: len(layers) for name, layers in networks.items()},
     }
@@ -70,7 +72,7 @@ def read_network(settings: Mapping[str, Any], arrays: Mapping[str, Array]) -> Ex
         arrays["mu"],
         arrays["omega"],
         number_above(settings["time_step"], "time_step", 0.0),
-        number_above(settings["action_weight"], "action_weight", 0.0, equal=True),
+        weights(settings["action_weight"], "action_weight"),
         whole_number(settings["action_size"], "action_size", 1),
         layers("decoder", 0),
         read_frame_encoder(settings["frame_encoder"], arrays) if "frame_encoder" in settings else None,
@@ -93,6 +95,8 @@ def _check_shapes(model: ExportedModel) -> None:
             size = bias.size
         if name == "encoder" and not 1 <= model.action_size < layers[0][0].shape[1]:
             raise ValueError(f"action_size = {model.action_size} does not fit the encoder's inputs")
+        if np.shape(model.action_weight) not in ((), (model.action_size,)):
+            raise ValueError(f"action_weight has shape {np.shape(model.action_weight)}")
         ends = {"encoder": latents, "cost_factor": size - size % latents, "decoder": model.observation_size}
         if size == 0 or size != ends[name]:
             kind = {"encoder": f"{latents}", "cost_factor": f"a multiple of {latents}"}

@@ -5,6 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 
 def whole_number(value: Any, name: str, least: int) -> int:
     """Check a whole number.
@@ -45,6 +48,29 @@ def number_above(value: Any, name: str, bound: float, equal: bool = False) -> fl
     if value < bound or (value == bound and not equal):
         raise ValueError(f"{name} = {value}; it should be {'at least' if equal else 'above'} {bound:g}")
     return float(value)
+
+
+def weights(value: Any, name: str) -> float | NDArray[np.float64]:
+    """Check the weight of actions.
+
+    Args:
+        value: As read: one number of at least 0, or one for each action.
+        name: For the message.
+
+    Returns:
+        The number, or an array (M,).
+
+    Raises:
+        ValueError: One of them is no such number.
+    """
+    if not isinstance(value, list):
+        return number_above(value, name, 0.0, equal=True)
+    return np.array([number_above(entry, name, 0.0, equal=True) for entry in value], np.float64)
+
+
+def weights_as_stored(weight: float | NDArray[np.float64]) -> float | list[float]:
+    """What `weights` reads."""
+    return weight.tolist() if isinstance(weight, np.ndarray) else weight
 
 
 def text(value: Any, name: str) -> str:

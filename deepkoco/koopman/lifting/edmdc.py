@@ -85,7 +85,7 @@ def fit_lifted_cost(
     actions: Episodes,
     costs: Episodes,
     lifting: Lifting,
-    action_weight: float,
+    action_weight: float | Array,
     rank: int | None = None,
     iterations: int = 2000,
 ) -> LiftedCost:
@@ -99,7 +99,7 @@ def fit_lifted_cost(
         actions: As for `fit_edmdc`.
         costs: c_k, which belong to (o_k, a_k) (n, T), or a sequence of (T_i,).
         lifting: g.
-        action_weight: R, taken as known.
+        action_weight: R, taken as known; one for all actions or one each (M,).
         rank: Rows to keep, the largest ones; None keeps all that matter.
         iterations: Steps of the gradient method.
 
@@ -118,7 +118,7 @@ def fit_lifted_cost(
     c = np.concatenate([np.asarray(part, np.float64)[lifting.window - 1 :] for part in costs])
     if c.shape != (len(z),):
         raise LiftedModelError(f"{c.size} costs for {len(z)} steps; give one per observation")
-    c = c - action_weight * np.square(a).sum(-1)
+    c = c - (action_weight * np.square(a)).sum(-1)
     x = np.hstack((z, np.ones((len(z), 1))))
     values, vectors = np.linalg.eigh(x.T @ x / len(x))
     kept = values > 1e-12 * values[-1]
@@ -151,7 +151,7 @@ def fit_lifted_cost(
     order = np.argsort(values)[::-1]
     keep = [i for i in order if values[i] > 1e-9 * max(values[order[0]], 1e-300)][: rank or q]
     factor = (np.sqrt(values[keep])[:, None] * vectors[:, keep].T) @ whiten.T
-    return LiftedCost(np.ascontiguousarray(factor[:, :-1]), factor[:, -1].copy(), float(action_weight))
+    return LiftedCost(np.ascontiguousarray(factor[:, :-1]), factor[:, -1].copy(), action_weight)
 
 
 def _lifted_episodes(

@@ -67,7 +67,7 @@ def fit_to_episodes(
     actions: Sequence[Array],
     costs: Sequence[Array],
     time_step: float,
-    action_weight: float,
+    action_weight: float | Array,
     generator: np.random.Generator,
     centres: int = CENTRES,
 ) -> LiftedLinearModel:
@@ -80,7 +80,7 @@ def fit_to_episodes(
         actions: a_k (L, M) of each episode; they need exploration.
         costs: c_k (L,) of each episode.
         time_step: Seconds per step.
-        action_weight: R.
+        action_weight: R, one for all actions or one each (M,).
         generator: Of centres and samples.
         centres: Thin-plate functions beside the observation itself.
 
@@ -105,7 +105,7 @@ def fit_best_to_episodes(
     actions: Sequence[Array],
     costs: Sequence[Array],
     time_step: float,
-    action_weight: float,
+    action_weight: float | Array,
     horizon: int,
     generator: np.random.Generator,
 ) -> LiftedLinearModel:
@@ -140,7 +140,8 @@ def fit_best_to_episodes(
             errors.append(
                 _root_error(model, [(observations[i], actions[i], costs[i]) for i in held], horizon)
             )
-        chosen = choices[int(np.nanargmin(errors))]
+        # A model that diverges has an error of NaN or infinity and is not chosen; if all do, the plainest is.
+        chosen = choices[int(np.nan_to_num(errors, nan=np.inf, posinf=np.inf).argmin())]
     return fit_to_episodes(observations, actions, costs, time_step, action_weight, generator, chosen)
 
 

@@ -17,22 +17,22 @@ class LiftedModelError(ValueError):
 
 @dataclass(frozen=True)
 class LiftedCost:
-    r"""$c = |F z + f|^2 + R a^\top a$, a square in the lifted observation.
+    r"""$c = |F z + f|^2 + a^\top R a$, a square in the lifted observation.
 
     Attributes:
         factor: F (r, p).
         offset: f (r,).
-        action_weight: R.
+        action_weight: R, one for all actions or one each (M,).
     """
 
     factor: Array
     offset: Array
-    action_weight: float
+    action_weight: float | Array
 
     def __call__(self, lifted: Array, actions: Array) -> Array:
         """The cost (...,) of z (..., p) and a (..., M)."""
         roots = lifted @ self.factor.T + self.offset
-        return np.square(roots).sum(-1) + self.action_weight * np.square(actions).sum(-1)
+        return np.square(roots).sum(-1) + (self.action_weight * np.square(actions)).sum(-1)
 
 
 def target_cost(output: ArrayLike, weights: ArrayLike, target: ArrayLike, action_weight: float) -> LiftedCost:
@@ -118,7 +118,10 @@ class LiftedLinearModel:
         numbers = (self.transition, self.inputs, cost.factor, cost.offset)
         if not all(np.isfinite(array).all() for array in numbers):
             raise LiftedModelError("A, B or the cost holds numbers that are not finite")
-        if not 0 < self.time_step < np.inf or not 0 <= cost.action_weight < np.inf:
+        weights = np.asarray(cost.action_weight)
+        if weights.shape not in ((), (self.action_size,)):
+            raise LiftedModelError(f"action_weight has shape {weights.shape}; give one, or ({self.action_size},)")
+        if not 0 < self.time_step < np.inf or not ((weights >= 0) & np.isfinite(weights)).all():
             raise LiftedModelError(
                 f"time_step = {time_step} and action_weight = {cost.action_weight}; "
                 "give a time above 0 and a weight of 0 or more"
@@ -153,8 +156,8 @@ class LiftedLinearModel:
         return len(self.cost.offset)
 
     @property
-    def action_weight(self) -> float:
-        """R."""
+    def action_weight(self) -> float | Array:
+        """R, one for all actions or one each (M,)."""
         return self.cost.action_weight
 
     @property
