@@ -124,7 +124,8 @@ class TrainingConfig:
     the pendulum, whose torque is within -2 and 2, both are the same."""
     noise_floor: float = 0.1
     """Where the task itself ended most of the random episodes: noise of the calmest environment of a batch as a share
-    of the boldest's; 1: all alike, as published."""
+    of the boldest's, less where these episodes are too short to learn from (`calm_rounds`); 1: all alike, as
+    published."""
     noise_last_episode: int = 400
     """Episode at which the variance has fallen linearly to zero."""
     evaluation_episodes: int = 20

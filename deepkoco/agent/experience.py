@@ -7,7 +7,7 @@ from typing import Any
 
 from deepkoco.agent.buffer import Episode, EpisodeBuffer
 from deepkoco.agent.config import TrainingConfig
-from deepkoco.agent.first_episodes import often_ended, random_count, task_units
+from deepkoco.agent.first_episodes import calm_rounds, task_units
 from deepkoco.agent.replay_files import read_replay, write_replay
 from deepkoco.agent.task_scale import TaskScale
 from deepkoco.koopman.exported import Array, ExportedModel
@@ -21,7 +21,8 @@ class Experience:
         buffer: What is learned from.
         scale: Its units; None for those of the environment.
         steps: Steps of the environment.
-        calm: Whether exploration is to be calm in some environments; the first episodes decide.
+        noise_floor: Noise of the calmest environment as a share of the boldest's; the first episodes decide.
+        alone: How many of the first episodes noise alone has moved.
     """
 
     def __init__(
@@ -40,7 +41,7 @@ class Experience:
         self.buffer = EpisodeBuffer(recordings, config.cost_discount)
         self.scale: TaskScale | None = None
         self.steps = 0
-        self.calm = False
+        self.noise_floor, self.alone = 1.0, 0
 
     @property
     def cost_unit(self) -> float:
@@ -93,7 +94,8 @@ class Experience:
 
     def _take(self, episodes: list[Episode]) -> None:
         if not self.steps:
-            self.calm = often_ended(episodes[: random_count(self._config)])
+            first = episodes[: self._config.first_episodes]
+            self.noise_floor, self.alone, _ = calm_rounds(self._config, first)
         self.steps += sum(episode.costs.numel() for episode in episodes)
         if self.scale is not None:
             episodes = [self.scale.apply(episode, self._config.horizon) for episode in episodes]

@@ -25,6 +25,7 @@ from deepkoco.planning.config import PlannerConfig
 
 TRIALS = 6
 """First planned episodes, which tell whether the linear model is worth going on with."""
+CALM_ROUNDS = 3
 
 
 def random_count(config: TrainingConfig) -> int:
@@ -52,10 +53,43 @@ def often_ended(random: Sequence[Episode]) -> bool:
     return sum(episode.final is not None for episode in random) > 0.5 * len(random)
 
 
+def calm_rounds(config: TrainingConfig, first: Sequence[Episode]) -> tuple[float, int, bool]:
+    """How calm exploration has to be so that its episodes show a training window of the task.
+
+    Noise that fells a pole in four steps leaves nothing to learn from. Where the task ended most random episodes
+    before a window was over, rounds of `TRIALS` further ones are moved by noise from as bold as theirs down to a floor,
+    which falls from round to round until the calmest episode is as long as a window, or no longer than before.
+
+    Args:
+        config: Hyper-parameters.
+        first: Episodes of the first iteration so far, those of noise alone first. Of a finished one too: what was
+            decided follows from what was seen.
+
+    Returns:
+        Noise of the calmest environment as a share of the boldest's, how many of the episodes noise alone has moved,
+        and whether another round is wanted.
+    """
+    alone, floor = min(random_count(config), len(first)), config.noise_floor
+    if floor == 1.0 or not often_ended(first[:alone]):
+        return 1.0, alone, False
+    longest = float(np.median([episode.costs.numel() for episode in first[:alone]]))
+    for _ in range(CALM_ROUNDS):
+        if longest > config.horizon:
+            break
+        if alone + TRIALS > len(first):
+            return floor, alone, True
+        alone += TRIALS
+        length = first[alone - 1].costs.numel()
+        if length > config.horizon or length <= longest:
+            break
+        longest, floor = float(length), floor * config.noise_floor
+    return floor, alone, False
+
+
 def make_noise(
     config: TrainingConfig,
     count: int,
-    calm: bool,
+    floor: float,
     variance: float,
     low: Array,
     high: Array,
@@ -66,15 +100,14 @@ def make_noise(
     Args:
         config: Hyper-parameters.
         count: B.
-        calm: Whether some environments get less noise; see `often_ended`.
+        floor: Noise of the calmest environment as a share of the boldest's; see `calm_rounds`.
         variance: sigma^2 of this iteration.
         low: a_min (M,).
         high: a_max (M,).
         generator: Source of every draw.
     """
     unit = action_units(config.noise_unit, torch.from_numpy(low), torch.from_numpy(high))
-    correlation, floor = config.noise_correlation, config.noise_floor if calm else 1.0
-    return OrnsteinUhlenbeck(count, low.size, correlation, variance, generator, unit, floor)
+    return OrnsteinUhlenbeck(count, low.size, config.noise_correlation, variance, generator, unit, floor)
 
 
 def planner_of_linear(planner: PlannerConfig) -> PlannerConfig:
@@ -123,7 +156,7 @@ def collect_first(
     envs: Callable[[int], VectorEnv],
     low: Array,
     high: Array,
-    noise: Callable[[int, bool], OrnsteinUhlenbeck],
+    noise: Callable[[int, float], OrnsteinUhlenbeck],
     run_seed: int,
 ) -> tuple[list[Episode], int]:
     """Collect the episodes of the first iteration.
@@ -137,7 +170,7 @@ def collect_first(
         envs: Environments by number.
         low: a_min (M,).
         high: a_max (M,).
-        noise: Makes the exploration of so many environments, calm or not.
+        noise: Makes the exploration of so many environments with such a floor.
         run_seed: Seed of the run.
 
     Returns:
@@ -145,11 +178,17 @@ def collect_first(
     """
     count = min(config.first_episodes, config.total_episodes)
     random = min(count, random_count(config))
-    agent = VectorAgent(None, config.planner, low, high, random, noise(random, False))
+    agent = VectorAgent(None, config.planner, low, high, random, noise(random, 1.0))
     # Numbers beyond those of all iterations, whose start states these must not be.
     seeds = [derive_seed(run_seed, Purpose.TRAINING_EPISODES, number) for number in (0, 2**20, 2**20 + 1)]
     episodes = collect_episodes(envs(random), agent, seeds[0])
-    calm = often_ended(episodes)
+    floor, alone, wanted = calm_rounds(config, episodes)
+    while wanted and alone + TRIALS <= count:
+        agent = VectorAgent(None, config.planner, low, high, TRIALS, noise(TRIALS, floor))
+        seed = derive_seed(run_seed, Purpose.TRAINING_EPISODES, 2**21 + alone)
+        episodes += collect_episodes(envs(TRIALS), agent, seed)
+        floor, alone, wanted = calm_rounds(config, episodes)
+    random = alone
     linear, failures, planner = None, 0, planner_of_linear(config.planner)
     if random < count and episodes[0].observations.dim() == 2:
         weight: float | Array = config.model.action_weight
@@ -161,7 +200,7 @@ def collect_first(
     for number, left in enumerate((min(TRIALS, count - random), count - random - TRIALS)):
         if left <= 0:
             break
-        agent = VectorAgent(linear, planner, low, high, left, noise(left, calm))
+        agent = VectorAgent(linear, planner, low, high, left, noise(left, floor))
         planned = collect_episodes(envs(left), agent, seeds[1 + number])
         if not _clearly_cheaper(planned, episodes[:random]):
             linear = None

@@ -94,7 +94,7 @@ class KoopmanPolicy:
         return self._history.push(given.astype(kind, copy=False))
 
 
-def load_model(folder: str | Path, **planner: Any) -> tuple[ExportedModel, PlannerConfig, Array, Array]:
+def load_model(folder: str | Path, **planner: Any) -> tuple[LatentModel, PlannerConfig, Array, Array]:
     """Load what the controller of a trained model is made of; `deepkoco.load` also takes imported models.
 
     Args:
@@ -109,7 +109,7 @@ def load_model(folder: str | Path, **planner: Any) -> tuple[ExportedModel, Plann
         TypeError: An unknown planner setting.
     """
     stored = read_controller(folder, planner)
-    if not isinstance(stored.model, ExportedModel):
+    if not isinstance(stored.model, ExportedModel) and "kept" not in stored.training:
         raise ModelFolderError(
             f"{folder}: holds an imported model, not a trained one; load it with deepkoco.load"
         )

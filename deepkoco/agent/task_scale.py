@@ -70,7 +70,9 @@ class TaskScale:
             seen = np.zeros((1, episodes[0].observations.shape[1]))
         spread = seen.std(0)
         moving = spread > SMALLEST_SPREAD
-        return cls(np.where(moving, seen.mean(0), 0.0), np.where(moving, spread, 1.0), action, cost, lowest, charged)
+        return cls(
+            np.where(moving, seen.mean(0), 0.0), np.where(moving, spread, 1.0), action, cost, lowest, charged
+        )
 
     def apply(self, episode: Episode, horizon: int) -> Episode:
         """An episode in the units of learning.
@@ -121,7 +123,9 @@ class TaskScale:
         """R in the task's own units, one for all actions or one each (M,), with what the task charges for them."""
         if not self.action_cost.size and (self.action == self.action[0]).all():
             return self._weight(weight)
-        return weight * self.cost / np.square(self.action) + (self.action_cost if self.action_cost.size else 0.0)
+        return weight * self.cost / np.square(self.action) + (
+            self.action_cost if self.action_cost.size else 0.0
+        )
 
     def planner(self, planner: PlannerConfig) -> PlannerConfig:
         """Settings of the planner for the task's own units."""

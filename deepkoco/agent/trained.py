@@ -9,17 +9,21 @@ import torch
 from deepkoco.agent.agent import VectorAgent
 from deepkoco.agent.buffer import Episode
 from deepkoco.agent.config import TrainingConfig
-from deepkoco.agent.first_episodes import make_noise, random_count
+from deepkoco.agent.first_episodes import make_noise
 from deepkoco.agent.metrics import Row
 from deepkoco.agent.references.measure import Trained
 from deepkoco.agent.seeding import Purpose, derive_seed
-from deepkoco.koopman.exported import Array, ExportedModel
+from deepkoco.koopman.exported import Array
+from deepkoco.koopman.latent_model import LatentModel
+from deepkoco.koopman.lifting.lifted_linear import LiftedLinearModel
 from deepkoco.planning.config import PlannerConfig
+
+KEPT_LINEAR = "EDMDc of the run's own episodes, which did better than every network"
 
 
 def trained_deepkoco(
     config: TrainingConfig,
-    model: ExportedModel,
+    model: LatentModel,
     planner: PlannerConfig,
     first: Sequence[Episode],
     rows: Sequence[Row],
@@ -33,7 +37,7 @@ def trained_deepkoco(
         config: Hyper-parameters.
         model: The trained model.
         planner: Settings of its planner.
-        first: Episodes of the first iteration as they were recorded.
+        first: Those episodes that noise alone has moved, as they were recorded.
         rows: Metrics.
         low: a_min (M,).
         high: a_max (M,).
@@ -43,14 +47,14 @@ def trained_deepkoco(
 
     def exploration(count: int) -> VectorAgent:
         generator = torch.Generator().manual_seed(own)
-        noise = make_noise(config, count, False, config.noise_variance, low, high, generator)
+        noise = make_noise(config, count, 1.0, config.noise_variance, low, high, generator)
         return VectorAgent(None, planner, low, high, count, noise)
 
     return Trained(
         name=config.name,
         controller=lambda count: VectorAgent(model, planner, low, high, count, seed=own),
         exploration=exploration,
-        first=first[: random_count(config)],
+        first=first,
         rows=rows,
         planner=planner,
         action_weight=model.action_weight,
@@ -61,4 +65,5 @@ def trained_deepkoco(
         plans=True,
         total_episodes=config.total_episodes,
         seed=own,
+        kept=KEPT_LINEAR if isinstance(model, LiftedLinearModel) else "",
     )

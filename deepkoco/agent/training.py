@@ -34,13 +34,20 @@ from deepkoco.agent.eigenvalue_history import EigenvalueHistory
 from deepkoco.agent.environment_pool import EnvironmentPool
 from deepkoco.agent.experience import Experience
 from deepkoco.agent.exploration import annealed_variance
-from deepkoco.agent.first_episodes import collect_first, make_noise, random_count
+from deepkoco.agent.first_episodes import (
+    collect_first,
+    fit_linear,
+    make_noise,
+    planner_of_linear,
+    random_count,
+)
 from deepkoco.agent.kept_weights import KeptWeights
 from deepkoco.agent.learner import Learner
 from deepkoco.agent.metrics import MetricsLog, Row, evaluation_metrics
 from deepkoco.agent.planner_metrics import planner_metrics
 from deepkoco.agent.progress import Progress
 from deepkoco.agent.references.run_comparison import compare_run
+from deepkoco.agent.replay_files import read_replay
 from deepkoco.agent.schedule import planned_updates, step_size
 from deepkoco.agent.seeding import Purpose, derive_seed
 from deepkoco.agent.standing import Report, Standing
@@ -48,7 +55,9 @@ from deepkoco.agent.stored_controller import MODEL_FOLDER, StoredController, wri
 from deepkoco.agent.trained import trained_deepkoco
 from deepkoco.koopman.export import export_model
 from deepkoco.koopman.exported import ExportedModel
+from deepkoco.koopman.lifting.lifted_linear import LiftedLinearModel, LiftedModelError
 from deepkoco.koopman.model.model import KoopmanModel
+from deepkoco.planning.config import PlannerConfig
 
 CHECKPOINT_FILE = "checkpoint.pt"
 LOSS_NAMES = ("linear", "cost_reconstruction", "cost_prediction", "latent_scale", "inverse")
@@ -182,7 +191,7 @@ class Trainer:
         else:
             count = min(config.iteration_episodes, config.total_episodes - done)
             seed = derive_seed(self.seed, Purpose.TRAINING_EPISODES, iteration)
-            agent = self._agent(count, seed, noise=noise(count, self._experience.calm))
+            agent = self._agent(count, seed, noise=noise(count, self._experience.noise_floor))
             episodes = collect_episodes(self._pool.get(count, self._make_envs), agent, seed)
             failures = agent.failures
         self._experience.add(iteration, episodes)
@@ -197,12 +206,17 @@ class Trainer:
         self.progress.collected, self.progress.iteration_updates = True, 0
 
     def _acting(self) -> ExportedModel:
-        """The model that acts, in the units of the environment."""
+        """The model that acts while it is trained, in the units of the environment."""
         return self._experience.exported(export_model(self.averaged_model))
 
-    def _agent(self, count: int, seed: int, **choices: Any) -> VectorAgent:
-        planner = self._experience.planner
-        return VectorAgent(self._acting(), planner, self._low, self._high, count, seed=seed, **choices)
+    def _result(self) -> tuple[ExportedModel | LiftedLinearModel, PlannerConfig]:
+        """What the run ends with, and its planner."""
+        planner, linear = self._experience.planner, self._kept.linear
+        return (self._acting(), planner) if linear is None else (linear, planner_of_linear(planner))
+
+    def _agent(self, count: int, seed: int, final: bool = False, **choices: Any) -> VectorAgent:
+        model, planner = self._result() if final else (self._acting(), self._experience.planner)
+        return VectorAgent(model, planner, self._low, self._high, count, seed=seed, **choices)
 
     def _note_eigenvalues(self) -> None:
         dynamics = self.averaged_model.dynamics
@@ -236,6 +250,7 @@ class Trainer:
         if config.keep == "best" and final:
             _, episodes = self._evaluate(config.evaluation_episodes, Purpose.EVALUATION)
             self._kept.offer(self.averaged_model, float(episode_costs(episodes).mean()), len(self._buffer))
+            self._offer_linear()
             self._kept.restore(self.averaged_model)
         agent, episodes = None, []
         costs, failures = np.full(1, np.nan), 0
@@ -245,9 +260,15 @@ class Trainer:
             failures = agent.statistics.failures
         if config.keep == "best" and not final:
             self._kept.offer(self.averaged_model, float(costs.mean()), len(self._buffer))
+            if self.progress.iteration == 0:
+                self._offer_linear()
         kept: Row = {}
         if config.keep == "best":
-            kept = {"kept/cost": self._kept.cost, "kept/episodes": self._kept.episodes}
+            kept = {
+                "kept/cost": self._kept.cost,
+                "kept/episodes": self._kept.episodes,
+                "kept/linear": float(self._kept.linear is not None),
+            }
         planner, clock = planner_metrics(agent, episodes, config.planner.horizon)
         self.progress.iteration += 1
         self.progress.collected, self.progress.iteration_updates = False, 0
@@ -269,11 +290,34 @@ class Trainer:
         )
 
     def _evaluate(self, count: int, purpose: Purpose) -> tuple[VectorAgent, list[Episode]]:
-        """Noise-free episodes of the averaged model, from start states that are the purpose's own."""
-        start = derive_seed(self.seed, purpose)
-        agent = self._agent(count, start, diagnostics=True)
-        envs = self._pool.get(count, self._make_evaluation_envs)
-        return agent, collect_episodes(envs, agent, start, record=False)
+        """Noise-free episodes from start states that are the purpose's own: of the result, or while training."""
+        start, final = derive_seed(self.seed, purpose), purpose == Purpose.FINAL_EVALUATION
+        agent = self._agent(count, start, final, diagnostics=True)
+        return agent, self._noise_free(agent, count, start)
+
+    def _noise_free(self, agent: VectorAgent, count: int, start: int) -> list[Episode]:
+        return collect_episodes(self._pool.get(count, self._make_evaluation_envs), agent, start, record=False)
+
+    def _offer_linear(self) -> None:
+        """Try EDMDc of all episodes so far with the same planner: a run ends with nothing worse than that.
+
+        Where a task is nearly linear, a network that has to find this out may do no better. The last episodes come
+        first, for the fit is limited in their number and they show the task where it is controlled.
+        """
+        config = self.config
+        if not config.warm_start or self._learner.model.frame_encoder is not None:
+            return
+        seed = derive_seed(self.seed, Purpose.REFERENCES, 1 + self.progress.iteration)
+        weight, count = self._acting().action_weight, config.evaluation_episodes
+        planner = planner_of_linear(self._experience.planner)
+        episodes = read_replay(self.folder, self.progress.iteration + 1)[::-1]
+        try:
+            linear = fit_linear(episodes, config.model.time_step, weight, planner.horizon, seed)
+        except LiftedModelError:
+            return
+        agent = VectorAgent(linear, planner, self._low, self._high, count)
+        costs = episode_costs(self._noise_free(agent, count, derive_seed(self.seed, Purpose.EVALUATION)))
+        self._kept.offer_linear(linear, float(costs.mean()), len(self._buffer))
 
     def _save(self, started: float) -> None:
         self.progress.seconds = time.perf_counter() - started
@@ -301,7 +345,7 @@ class Trainer:
         self._learner.load_state_dict(state)
         self._sampling.set_state(state["sampling"])
         self._noise.set_state(state["noise"])
-        self._kept = KeptWeights(**state.get("kept", {}))
+        self._kept = KeptWeights.from_state(state.get("kept", {}))
         self.progress = Progress(**state["progress"])
         collected = self.progress.iteration + self.progress.collected
         self._experience.restore(state, collected)
@@ -313,9 +357,8 @@ class Trainer:
         return compare_run(
             lambda: trained_deepkoco(
                 self.config,
-                self._acting(),
-                self._experience.planner,
-                self._experience.first(),
+                *self._result(),
+                self._experience.first()[: self._experience.alone],
                 self.metrics.rows,
                 self._low,
                 self._high,
@@ -334,12 +377,12 @@ class Trainer:
             "episodes": len(self._buffer),
             "updates": self.progress.updates,
             **({"kept_episodes": self._kept.episodes} if self._kept.weights else {}),
+            **({"kept": "EDMDc"} if self._kept.linear is not None else {}),
             **comparison,
             "package": f"deepkoco {__version__}",
         }
         controller = StoredController(
-            self._acting(),
-            self._experience.planner,
+            *self._result(),
             self._low,
             self._high,
             self._task,

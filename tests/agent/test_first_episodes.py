@@ -60,7 +60,7 @@ def test_exploration_is_calmer_where_the_task_ended_most_random_episodes():
     config = replace(CONFIG, noise_floor=0.01)
     one = np.ones(1)
     bold, calm = (
-        make_noise(config, 2, choice, 1.0, -one, one, torch.Generator().manual_seed(0)).step()
-        for choice in (False, True)
+        make_noise(config, 2, floor, 1.0, -one, one, torch.Generator().manual_seed(0)).step()
+        for floor in (1.0, 0.01)
     )
     torch.testing.assert_close(calm, bold * torch.tensor([[1.0], [0.01]]).double())

@@ -66,12 +66,14 @@ class Comparison:
         costs: Of each start state (n,), by controller; the trained one first.
         left_out: References that could not be measured, with the reason.
         advice: What to try where the controller is not better than all; what matters most first.
+        kept: What the controller is, where it is not what was trained; empty otherwise.
     """
 
     agent: str
     costs: Mapping[str, Array]
     left_out: Mapping[str, str] = field(default_factory=dict)
     advice: tuple[str, ...] = ()
+    kept: str = ""
 
     @property
     def own(self) -> MeanCost:
@@ -104,7 +106,8 @@ class Comparison:
         others = ", ".join(
             f"{reference.name} {rounded(reference.cost.mean)}" for reference in self.references
         )
-        parts = [f"final cost {rounded(own.mean)}{interval} {starts}", others, self._verdicts()]
+        kept = f" with {self.kept}" if self.kept else ""
+        parts = [f"final cost {rounded(own.mean)}{interval} {starts}{kept}", others, self._verdicts()]
         line = f"{parts[0]}; {parts[1]}: {parts[2]}" if others else parts[0]
         for name, reason in self.left_out.items():
             line += f"; {name} left out, {reason}"

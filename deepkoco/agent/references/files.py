@@ -40,6 +40,7 @@ def write_comparison(folder: Path, comparison: Comparison) -> None:
         "references": [{**asdict(r), "verdict": r.verdict} for r in comparison.references],
         "left_out": dict(comparison.left_out),
         "advice": list(comparison.advice),
+        **({"kept": comparison.kept} if comparison.kept else {}),
         "costs": {name: np.asarray(costs).tolist() for name, costs in comparison.costs.items()},
     }
     write_whole_text(folder / f"{REFERENCES}.json", json.dumps(_without_nan(content), indent=2) + "\n")
@@ -63,7 +64,8 @@ def read_comparison(folder: Path) -> Comparison | None:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         costs = {name: np.array(values, np.float64) for name, values in content["costs"].items()}
-        return Comparison(content["agent"], costs, content["left_out"], tuple(content["advice"]))
+        kept = content.get("kept", "")
+        return Comparison(content["agent"], costs, content["left_out"], tuple(content["advice"]), kept)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise damaged(path, error) from error
 

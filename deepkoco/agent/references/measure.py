@@ -36,6 +36,7 @@ class Trained:
         plans: Whether the agent plans.
         total_episodes: Episodes of the training.
         seed: Of the draws that EDMDc makes.
+        kept: What the controller is, where it is not what was trained.
     """
 
     name: str
@@ -52,6 +53,7 @@ class Trained:
     plans: bool
     total_episodes: int
     seed: int
+    kept: str = ""
 
 
 def compare(trained: Trained, starts: SameStarts) -> Comparison:
@@ -85,7 +87,8 @@ def compare(trained: Trained, starts: SameStarts) -> Comparison:
     else:
         left_out[EDMDC] = "it does not apply to frames"
     episodes = {name: starts.run(make, record=states) for name, make in makes.items()}
-    comparison = Comparison(trained.name, {n: episode_costs(e) for n, e in episodes.items()}, left_out)
+    costs = {name: episode_costs(own) for name, own in episodes.items()}
+    comparison = Comparison(trained.name, costs, left_out, kept=trained.kept)
     return replace(comparison, advice=_advice(trained, comparison, episodes))
 
 

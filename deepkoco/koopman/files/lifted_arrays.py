@@ -18,6 +18,7 @@ from deepkoco.koopman.lifting.lifting import (
     Polynomial,
     RadialBasis,
     RandomFourier,
+    ScaledRadialBasis,
     TimeDelays,
 )
 from deepkoco.koopman.lifting.network import Network
@@ -27,6 +28,7 @@ LIFTINGS: dict[str, type[Any]] = {
     "polynomial": Polynomial,
     "radial_basis": RadialBasis,
     "random_fourier": RandomFourier,
+    "scaled_radial_basis": ScaledRadialBasis,
     "time_delays": TimeDelays,
     "network": Network,
 }
@@ -69,7 +71,11 @@ def lifted_parts(model: LiftedLinearModel) -> tuple[dict[str, Any], dict[str, Ar
                 arrays[f"lifting.{i}.weight"], arrays[f"lifting.{i}.bias"] = weight, bias
         else:
             lifting[field.name] = value
-    settings = {"time_step": model.time_step, "action_weight": weights_as_stored(model.action_weight), "lifting": lifting}
+    settings = {
+        "time_step": model.time_step,
+        "action_weight": weights_as_stored(model.action_weight),
+        "lifting": lifting,
+    }
     return settings, arrays
 
 

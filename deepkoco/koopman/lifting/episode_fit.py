@@ -8,7 +8,7 @@ import numpy as np
 
 from deepkoco.koopman.lifting.edmdc import fit_edmdc, fit_lifted_cost
 from deepkoco.koopman.lifting.lifted_linear import LiftedLinearModel
-from deepkoco.koopman.lifting.lifting import Array, RadialBasis
+from deepkoco.koopman.lifting.lifting import Array, ScaledRadialBasis
 
 CENTRES = 20
 COMPONENTS = 24
@@ -18,48 +18,27 @@ RIDGE = 1e-3
 LARGEST_PREDICTION = 1e12  # [cost]; of a model that diverges
 
 
-class ScaledRadialBasis:
-    """Standardised observations and thin-plate functions of them; a `Lifting`.
+def scaled_radial_basis(
+    observations: Array, centres: int, generator: np.random.Generator
+) -> ScaledRadialBasis:
+    """Standardised observations with centres from the data.
 
-    Without scaling, the entry with the largest unit would decide every distance. Of observations with many entries
-    the leading principal components are taken, for the cost is fitted to all products of two lifted entries.
+    Of observations with many entries the leading principal components are taken, for the cost is fitted to all
+    products of two lifted entries.
+
+    Args:
+        observations: (K, N).
+        centres: How many; 0 for standardised observations alone.
+        generator: Of their draw.
     """
-
-    window = 1
-
-    def __init__(self, observations: Array, centres: int, generator: np.random.Generator) -> None:
-        """Take centres from the data.
-
-        Args:
-            observations: (K, N).
-            centres: How many; 0 for standardised observations alone.
-            generator: Of their draw.
-        """
-        self._mean, spread = observations.mean(0), observations.std(0)
-        scale = np.where(spread > 0, spread, 1.0)
-        self._directions = np.diag(1.0 / scale)  # (N, entries)
-        if len(scale) > COMPONENTS:
-            _, vectors = np.linalg.eigh(np.cov((observations - self._mean) / scale, rowvar=False))
-            self._directions = self._directions @ vectors[:, ::-1][:, :COMPONENTS]
-        chosen = observations[
-            generator.choice(len(observations), min(centres, len(observations)), replace=False)
-        ]
-        self._basis = RadialBasis((chosen - self._mean) @ self._directions) if centres else None
-
-    @property
-    def observation_size(self) -> int:
-        """N."""
-        return self._mean.size
-
-    @property
-    def size(self) -> int:
-        """Entries of the lifted observation."""
-        return self._directions.shape[1] if self._basis is None else self._basis.size
-
-    def __call__(self, stacked: Array) -> Array:
-        """Lift (..., N)."""
-        scaled = (stacked - self._mean) @ self._directions
-        return scaled if self._basis is None else self._basis(scaled)
+    mean, spread = observations.mean(0), observations.std(0)
+    scale = np.where(spread > 0, spread, 1.0)
+    directions = np.diag(1.0 / scale)  # (N, entries)
+    if len(scale) > COMPONENTS:
+        _, vectors = np.linalg.eigh(np.cov((observations - mean) / scale, rowvar=False))
+        directions = directions @ vectors[:, ::-1][:, :COMPONENTS]
+    chosen = observations[generator.choice(len(observations), min(centres, len(observations)), replace=False)]
+    return ScaledRadialBasis(mean, directions, (chosen - mean) @ directions)
 
 
 def fit_to_episodes(
@@ -91,7 +70,7 @@ def fit_to_episodes(
         LiftedModelError: There are too few steps, or a number is not finite.
     """
     o, a, c = (np.concatenate(parts).astype(np.float64) for parts in (observations, actions, costs))
-    lifting = ScaledRadialBasis(o, centres, generator)
+    lifting = scaled_radial_basis(o, centres, generator)
     chosen = np.arange(len(c))
     if chosen.size > COST_STEPS:
         chosen = np.sort(generator.choice(chosen, COST_STEPS, replace=False))

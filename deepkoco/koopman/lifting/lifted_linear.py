@@ -120,7 +120,9 @@ class LiftedLinearModel:
             raise LiftedModelError("A, B or the cost holds numbers that are not finite")
         weights = np.asarray(cost.action_weight)
         if weights.shape not in ((), (self.action_size,)):
-            raise LiftedModelError(f"action_weight has shape {weights.shape}; give one, or ({self.action_size},)")
+            raise LiftedModelError(
+                f"action_weight has shape {weights.shape}; give one, or ({self.action_size},)"
+            )
         if not 0 < self.time_step < np.inf or not ((weights >= 0) & np.isfinite(weights)).all():
             raise LiftedModelError(
                 f"time_step = {time_step} and action_weight = {cost.action_weight}; "

@@ -224,6 +224,51 @@ class RadialBasis:
 
 
 @dataclass(frozen=True)
+class ScaledRadialBasis:
+    """Standardised observations, and thin-plate functions of them.
+
+    Without scaling, the entry with the largest unit would decide every distance.
+
+    Attributes:
+        mean: Of the observations (N,).
+        directions: To standardised entries (N, E), fewer than N where principal components are taken.
+        centers: (K, E), standardised; K may be 0.
+    """
+
+    mean: Array
+    directions: Array
+    centers: Array
+    window = 1
+
+    def __post_init__(self) -> None:
+        """Check that the parts fit each other."""
+        shapes = self.mean.shape, self.directions.shape, self.centers.shape
+        if [len(shape) for shape in shapes] != [1, 2, 2] or 0 in self.directions.shape:
+            raise LiftingError(
+                f"mean, directions and centers have the shapes {shapes}; give (N,), (N, E), (K, E)"
+            )
+        if self.directions.shape != (self.mean.size, self.centers.shape[1]):
+            raise LiftingError(
+                f"mean, directions and centers have the shapes {shapes}; give (N,), (N, E), (K, E)"
+            )
+
+    @property
+    def observation_size(self) -> int:
+        """N."""
+        return self.mean.size
+
+    @property
+    def size(self) -> int:
+        """p = E + K."""
+        return self.directions.shape[1] + len(self.centers)
+
+    def __call__(self, stacked: Array) -> Array:
+        """Lift; see `Lifting`."""
+        scaled = (stacked - self.mean) @ self.directions
+        return scaled if not len(self.centers) else RadialBasis(self.centers)(scaled)
+
+
+@dataclass(frozen=True)
 class RandomFourier:
     """Cosines and sines of random projections, after the observation itself.
 
