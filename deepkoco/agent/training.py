@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -33,7 +33,7 @@ from deepkoco.agent.config import OLDER_SETTINGS, TrainingConfig
 from deepkoco.agent.eigenvalue_history import EigenvalueHistory
 from deepkoco.agent.environment_pool import EnvironmentPool
 from deepkoco.agent.experience import Experience
-from deepkoco.agent.exploration import annealed_variance
+from deepkoco.agent.exploration import OrnsteinUhlenbeck, annealed_variance
 from deepkoco.agent.first_episodes import (
     collect_first,
     fit_linear,
@@ -50,6 +50,7 @@ from deepkoco.agent.references.run_comparison import compare_run
 from deepkoco.agent.replay_files import read_replay
 from deepkoco.agent.schedule import planned_updates, step_size
 from deepkoco.agent.seeding import Purpose, derive_seed
+from deepkoco.agent.side_by_side import SideBySide
 from deepkoco.agent.standing import Report, Standing
 from deepkoco.agent.stored_controller import MODEL_FOLDER, StoredController, write_controller
 from deepkoco.agent.trained import trained_deepkoco
@@ -191,7 +192,7 @@ class Trainer:
         else:
             count = min(config.iteration_episodes, config.total_episodes - done)
             seed = derive_seed(self.seed, Purpose.TRAINING_EPISODES, iteration)
-            agent = self._agent(count, seed, noise=noise(count, self._experience.noise_floor))
+            agent = self._exploring(count, seed, noise)
             episodes = collect_episodes(self._pool.get(count, self._make_envs), agent, seed)
             failures = agent.failures
         self._experience.add(iteration, episodes)
@@ -217,6 +218,22 @@ class Trainer:
     def _agent(self, count: int, seed: int, final: bool = False, **choices: Any) -> VectorAgent:
         model, planner = self._result() if final else (self._acting(), self._experience.planner)
         return VectorAgent(model, planner, self._low, self._high, count, seed=seed, **choices)
+
+    def _exploring(
+        self, count: int, seed: int, noise: Callable[[int, float], OrnsteinUhlenbeck]
+    ) -> VectorAgent | SideBySide:
+        """What collects: the network; beside it EDMDc, as long as no network did better.
+
+        A network that cannot balance a pole yet falls at once and sees hardly anything else.
+        """
+        floor, linear = self._experience.noise_floor, self._kept.linear
+        if linear is None or count < 2:
+            return self._agent(count, seed, noise=noise(count, floor))
+        odd = count // 2
+        planner = planner_of_linear(self._experience.planner)
+        network = self._agent(count - odd, seed, noise=noise(count - odd, floor))
+        beside = VectorAgent(linear, planner, self._low, self._high, odd, noise(odd, floor))
+        return SideBySide(network, beside)
 
     def _note_eigenvalues(self) -> None:
         dynamics = self.averaged_model.dynamics
@@ -260,7 +277,7 @@ class Trainer:
             failures = agent.statistics.failures
         if config.keep == "best" and not final:
             self._kept.offer(self.averaged_model, float(costs.mean()), len(self._buffer))
-            if self.progress.iteration == 0:
+            if self.progress.iteration == 0 or self._kept.linear is not None:
                 self._offer_linear()
         kept: Row = {}
         if config.keep == "best":

@@ -11,7 +11,14 @@ import torch
 from deepkoco.agent.buffer import Episode
 from deepkoco.agent.collection import episode_costs
 from deepkoco.agent.config import TrainingConfig
-from deepkoco.agent.first_episodes import TRIALS, collect_first, make_noise, often_ended, random_count
+from deepkoco.agent.first_episodes import (
+    TRIALS,
+    calm_rounds,
+    collect_first,
+    make_noise,
+    often_ended,
+    random_count,
+)
 from experiments.studies.learning.untuned_envs import Cart
 
 CONFIG = TrainingConfig(first_episodes=45, warm_start=0.67)
@@ -64,3 +71,29 @@ def test_exploration_is_calmer_where_the_task_ended_most_random_episodes():
         for floor in (1.0, 0.01)
     )
     torch.testing.assert_close(calm, bold * torch.tensor([[1.0], [0.01]]).double())
+
+
+def falls(lengths):
+    """Episodes that the task ended after so many steps."""
+    return [Episode(*[torch.zeros(n, 1)] * 3, torch.zeros(1)) for n in lengths]
+
+
+def test_exploration_grows_calmer_until_an_episode_is_as_long_as_a_window():
+    config = TrainingConfig(first_episodes=60, warm_start=0.8, horizon=15, noise_floor=0.1)
+    random = [4] * random_count(config)
+    assert calm_rounds(config, falls([20] * len(random))) == (0.1, len(random), False)
+    assert calm_rounds(config, falls(random)) == (0.1, len(random), True)
+    once = [*random, 4, 4, 5, 5, 6, 7]
+    floor, alone, wanted = calm_rounds(config, falls(once))
+    assert (floor, alone, wanted) == (pytest.approx(0.01), len(once), True)
+    twice = [*once, 4, 5, 6, 9, 12, 16]
+    assert calm_rounds(config, falls(twice)) == (pytest.approx(0.01), len(twice), False)
+    # The same is found when a run goes on whose planned episodes follow.
+    assert calm_rounds(config, falls(twice + [50] * 30)) == (pytest.approx(0.01), len(twice), False)
+
+
+def test_calmer_exploration_ends_where_it_makes_no_episode_longer():
+    config = TrainingConfig(first_episodes=60, warm_start=0.8, horizon=15, noise_floor=0.1)
+    random = [9] * random_count(config)
+    assert calm_rounds(config, falls(random + [9] * TRIALS)) == (0.1, len(random) + TRIALS, False)
+    assert calm_rounds(replace(config, noise_floor=1.0), falls(random)) == (1.0, len(random), False)

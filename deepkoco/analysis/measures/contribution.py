@@ -59,7 +59,7 @@ def cost_contribution(model: LatentModel, modes: Modes, steps: Steps) -> Contrib
         parts=(readout * split).sum(1).mean(0),
         sizes=np.sqrt(np.square(split).sum(1).mean(0)),
         total=float(np.square(readout).sum(1).mean()),
-        action_cost=floatnp.sum(model.action_weight * np.square(steps.actions), -1).mean(),
+        action_cost=float(np.sum(model.action_weight * np.square(steps.actions), -1).mean()),
     )
 
 
