@@ -116,7 +116,12 @@ def planner_of_linear(planner: PlannerConfig) -> PlannerConfig:
 
 
 def fit_linear(
-    episodes: Sequence[Episode], time_step: float, action_weight: float | Array, horizon: int, seed: int
+    episodes: Sequence[Episode],
+    time_step: float,
+    action_weight: float | Array,
+    horizon: int,
+    seed: int,
+    relative: float | None = None,
 ) -> LiftedLinearModel:
     """EDMDc of recorded episodes.
 
@@ -126,6 +131,7 @@ def fit_linear(
         action_weight: R, one for all actions or one each (M,).
         horizon: H.
         seed: Of its draws.
+        relative: See `fit_to_episodes`.
 
     Returns:
         The model.
@@ -145,7 +151,14 @@ def fit_linear(
     costs = [np.maximum(part - lowest, 0.0) for part in costs]
     try:
         return fit_best_to_episodes(
-            observations, actions, costs, time_step, action_weight, horizon, np.random.default_rng(seed)
+            observations,
+            actions,
+            costs,
+            time_step,
+            action_weight,
+            horizon,
+            np.random.default_rng(seed),
+            relative,
         )
     except np.linalg.LinAlgError as error:
         raise LiftedModelError(str(error)) from error
@@ -196,7 +209,14 @@ def collect_first(
             units = task_units(config, episodes, low, high)
             weight, planner = units.action_weight(config.model.action_weight), units.planner(planner)
         with suppress(LiftedModelError):
-            linear = fit_linear(episodes, config.model.time_step, weight, planner.horizon, seeds[1])
+            linear = fit_linear(
+                episodes,
+                config.model.time_step,
+                weight,
+                planner.horizon,
+                seeds[1],
+                config.relative_cost or None,
+            )
     for number, left in enumerate((min(TRIALS, count - random), count - random - TRIALS)):
         if left <= 0:
             break

@@ -36,13 +36,13 @@ from deepkoco.agent.experience import Experience
 from deepkoco.agent.exploration import OrnsteinUhlenbeck, annealed_variance
 from deepkoco.agent.first_episodes import (
     collect_first,
-    fit_linear,
     make_noise,
     planner_of_linear,
     random_count,
 )
 from deepkoco.agent.kept_weights import KeptWeights
 from deepkoco.agent.learner import Learner
+from deepkoco.agent.linear_candidates import fit_candidates
 from deepkoco.agent.metrics import MetricsLog, Row, evaluation_metrics
 from deepkoco.agent.planner_metrics import planner_metrics
 from deepkoco.agent.progress import Progress
@@ -56,7 +56,7 @@ from deepkoco.agent.stored_controller import MODEL_FOLDER, StoredController, wri
 from deepkoco.agent.trained import trained_deepkoco
 from deepkoco.koopman.export import export_model
 from deepkoco.koopman.exported import ExportedModel
-from deepkoco.koopman.lifting.lifted_linear import LiftedLinearModel, LiftedModelError
+from deepkoco.koopman.lifting.lifted_linear import LiftedLinearModel
 from deepkoco.koopman.model.model import KoopmanModel
 from deepkoco.planning.config import PlannerConfig
 
@@ -316,25 +316,19 @@ class Trainer:
         return collect_episodes(self._pool.get(count, self._make_evaluation_envs), agent, start, record=False)
 
     def _offer_linear(self) -> None:
-        """Try EDMDc of all episodes so far with the same planner: a run ends with nothing worse than that.
-
-        Where a task is nearly linear, a network that has to find this out may do no better. The last episodes come
-        first, for the fit is limited in their number and they show the task where it is controlled.
-        """
-        config = self.config
+        """Try EDMDc of the episodes so far with the same planner from the start states of the evaluations."""
+        config, iteration = self.config, self.progress.iteration
         if not config.warm_start or self._learner.model.frame_encoder is not None:
             return
-        seed = derive_seed(self.seed, Purpose.REFERENCES, 1 + self.progress.iteration)
-        weight, count = self._acting().action_weight, config.evaluation_episodes
+        count, start = config.evaluation_episodes, derive_seed(self.seed, Purpose.EVALUATION)
+        episodes = read_replay(self.folder, iteration + 1)
+        alone, weight = 0 if iteration else self._experience.alone, self._acting().action_weight
         planner = planner_of_linear(self._experience.planner)
-        episodes = read_replay(self.folder, self.progress.iteration + 1)[::-1]
-        try:
-            linear = fit_linear(episodes, config.model.time_step, weight, planner.horizon, seed)
-        except LiftedModelError:
-            return
-        agent = VectorAgent(linear, planner, self._low, self._high, count)
-        costs = episode_costs(self._noise_free(agent, count, derive_seed(self.seed, Purpose.EVALUATION)))
-        self._kept.offer_linear(linear, float(costs.mean()), len(self._buffer))
+        seed = derive_seed(self.seed, Purpose.REFERENCES)
+        for linear in fit_candidates(config, episodes, alone, weight, seed):
+            agent = VectorAgent(linear, planner, self._low, self._high, count)
+            costs = episode_costs(self._noise_free(agent, count, start))
+            self._kept.offer_linear(linear, float(costs.mean()), len(self._buffer))
 
     def _save(self, started: float) -> None:
         self.progress.seconds = time.perf_counter() - started

@@ -88,10 +88,11 @@ def fit_lifted_cost(
     action_weight: float | Array,
     rank: int | None = None,
     iterations: int = 2000,
+    relative_above: float | None = None,
 ) -> LiftedCost:
     r"""Fit a square of the lifted observation to recorded costs, for tasks whose cost is not known in form.
 
-    $\min_{W \succeq 0} \sum (c_k - R a_k^\top a_k - (z_k, 1)^\top W (z_k, 1))^2$, a convex program, by
+    $\min_{W \succeq 0} \sum w_k (c_k - a_k^\top R a_k - (z_k, 1)^\top W (z_k, 1))^2$, a convex program, by
     accelerated projected gradient on whitened features.
 
     Args:
@@ -102,6 +103,8 @@ def fit_lifted_cost(
         action_weight: R, taken as known; one for all actions or one each (M,).
         rank: Rows to keep, the largest ones; None keeps all that matter.
         iterations: Steps of the gradient method.
+        relative_above: Cost from which on errors count relative to it, $w_k = 1 / (e + |c_k|)$, so that few large
+            costs do not decide what is cheap; None weighs all errors alike.
 
     Returns:
         The cost.
@@ -131,10 +134,15 @@ def fit_lifted_cost(
             "give a smaller lifting or a TargetCost"
         )
     gram, moment = np.zeros((q * q, q * q)), np.zeros(q * q)
-    for part, target in zip(
-        np.array_split(w, len(w) // 1000 + 1), np.array_split(c, len(w) // 1000 + 1), strict=True
+    roots = np.ones(len(c))
+    if relative_above is not None:
+        roots = (relative_above + np.abs(c)) ** -0.5
+        roots /= np.sqrt(np.square(roots).mean())
+    parts = len(w) // 1000 + 1
+    for part, target, root in zip(
+        *(np.array_split(array, parts) for array in (w, c * roots, roots)), strict=True
     ):
-        outer = np.einsum("ki,kj->kij", part, part).reshape(len(part), -1)
+        outer = np.einsum("ki,kj->kij", part, part).reshape(len(part), -1) * root[:, None]
         gram += outer.T @ outer / len(w)
         moment += outer.T @ target / len(w)
     step = 1.0 / np.linalg.eigvalsh(gram)[-1]

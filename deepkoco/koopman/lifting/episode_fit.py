@@ -15,6 +15,7 @@ COMPONENTS = 24
 MOST_EPISODES = 150
 COST_STEPS = 4000
 RIDGE = 1e-3
+SMALLEST_COST = 1e-9
 LARGEST_PREDICTION = 1e12  # [cost]; of a model that diverges
 
 
@@ -49,6 +50,7 @@ def fit_to_episodes(
     action_weight: float | Array,
     generator: np.random.Generator,
     centres: int = CENTRES,
+    relative: float | None = None,
 ) -> LiftedLinearModel:
     """Fit EDMDc and its quadratic cost to recorded episodes.
 
@@ -62,6 +64,7 @@ def fit_to_episodes(
         action_weight: R, one for all actions or one each (M,).
         generator: Of centres and samples.
         centres: Thin-plate functions beside the observation itself.
+        relative: Share of the mean cost from which on errors of the cost count relative to it; None: all alike.
 
     Returns:
         The model, ready for the planner.
@@ -74,7 +77,10 @@ def fit_to_episodes(
     chosen = np.arange(len(c))
     if chosen.size > COST_STEPS:
         chosen = np.sort(generator.choice(chosen, COST_STEPS, replace=False))
-    cost = fit_lifted_cost([o[chosen]], [a[chosen]], [c[chosen]], lifting, action_weight)
+    above = None if relative is None else max(relative * float(c.mean()), SMALLEST_COST)
+    cost = fit_lifted_cost(
+        [o[chosen]], [a[chosen]], [c[chosen]], lifting, action_weight, relative_above=above
+    )
     first = slice(MOST_EPISODES)
     return fit_edmdc(observations[first], actions[first], lifting, cost, time_step, RIDGE)
 
@@ -87,6 +93,7 @@ def fit_best_to_episodes(
     action_weight: float | Array,
     horizon: int,
     generator: np.random.Generator,
+    relative: float | None = None,
 ) -> LiftedLinearModel:
     """`fit_to_episodes` with or without thin-plate functions, whichever predicts held-out costs better.
 
@@ -101,6 +108,7 @@ def fit_best_to_episodes(
         action_weight: See there.
         horizon: Most steps predicted in the choice.
         generator: See there.
+        relative: See there.
 
     Returns:
         The model, fitted to all episodes.
@@ -115,13 +123,15 @@ def fit_best_to_episodes(
         errors, choices = [], (0, CENTRES)
         for centres in choices:
             o, a, c = ([part[i] for i in kept] for part in (observations, actions, costs))
-            model = fit_to_episodes(o, a, c, time_step, action_weight, generator, centres)
+            model = fit_to_episodes(o, a, c, time_step, action_weight, generator, centres, relative)
             errors.append(
                 _root_error(model, [(observations[i], actions[i], costs[i]) for i in held], horizon)
             )
         # A model that diverges has an error of NaN or infinity and is not chosen; if all do, the plainest is.
         chosen = choices[int(np.nan_to_num(errors, nan=np.inf, posinf=np.inf).argmin())]
-    return fit_to_episodes(observations, actions, costs, time_step, action_weight, generator, chosen)
+    return fit_to_episodes(
+        observations, actions, costs, time_step, action_weight, generator, chosen, relative
+    )
 
 
 def _root_error(
