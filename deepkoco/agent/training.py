@@ -61,6 +61,8 @@ from deepkoco.koopman.model.model import KoopmanModel
 from deepkoco.planning.config import PlannerConfig
 
 CHECKPOINT_FILE = "checkpoint.pt"
+BEFORE_END_FILE = "before_end.pt"
+"""The checkpoint from which a finished run can be prolonged: nothing that only an end does is in it."""
 LOSS_NAMES = ("linear", "cost_reconstruction", "cost_prediction", "latent_scale", "inverse")
 
 
@@ -165,6 +167,8 @@ class Trainer:
                     self._save(started)
                 if report is not None and self.progress.iteration_updates % 50 == 0:
                     report(self._standing(planned))
+            if len(self._buffer) >= self.config.total_episodes:
+                self._save(started, BEFORE_END_FILE)
             standing = self._standing(planned)
             self._finish_iteration(planned, started)
             self._save(started)
@@ -330,10 +334,10 @@ class Trainer:
             costs = episode_costs(self._noise_free(agent, count, start))
             self._kept.offer_linear(linear, float(costs.mean()), len(self._buffer))
 
-    def _save(self, started: float) -> None:
+    def _save(self, started: float, name: str = CHECKPOINT_FILE) -> None:
         self.progress.seconds = time.perf_counter() - started
         save_checkpoint(
-            self.folder / CHECKPOINT_FILE,
+            self.folder / name,
             {
                 "config": asdict(self.config),
                 "seed": self.seed,

@@ -22,6 +22,7 @@ example:
   deepkoco train task.id=deepkoco/RodPendulumDelay-v0 +task.kwargs.model=report/model.yaml run=runs/extended
                                    the swing-up in a simulator that diagnose has extended
   deepkoco train resume=runs/first                       go on after a kill, with the stored settings
+  deepkoco train resume=runs/first agent.total_episodes=600    prolong it, finished or not
   deepkoco train --config-dir my_configs task=cart       task/cart.yaml in your own folder
 
 task names: the files of configs/task; agents: deepkoco, sac, sac_shared, deepmdp, dbc. "deepkoco sweep" trains many."""

@@ -24,6 +24,7 @@ from deepkoco.output.whole_file import WriteError, writing
 from deepkoco.runs.agents import settings_class, trainer_class
 from deepkoco.runs.environments import make_environments
 from deepkoco.runs.hydra_command import BAD_INPUT
+from deepkoco.runs.prolong import prolong
 from deepkoco.runs.run_lock import locked
 from deepkoco.runs.settings import ExperimentError, TrainRunConfig
 from deepkoco.yaml_file import read_yaml
@@ -142,17 +143,22 @@ def train(given: TrainRunConfig) -> None:
     Args:
         given: Settings of the command.
     """
-    others = [
-        o for o in HydraConfig.get().overrides.task if not o.lstrip("+").startswith(("resume=", "threads="))
-    ]
+    settings = [setting.lstrip("+") for setting in HydraConfig.get().overrides.task]
+    longer = any(setting.startswith("agent.total_episodes=") for setting in settings)
+    others = [s for s in settings if not s.startswith(("resume=", "threads=", "agent.total_episodes="))]
     if given.resume is not None and others:
-        raise ExperimentError(f"resume= continues with the stored settings; leave out {' '.join(others)}")
+        raise ExperimentError(
+            f"resume= continues with the stored settings; leave out {' '.join(others)} (more agent.total_episodes "
+            "prolong a run)"
+        )
     config, folder, new = prepare_folder(given)
     # A launcher that was killed may have left a process that still trains: an aborted sweep waits for it.
     with locked(folder / CONFIG_FILE, wait=given.existing == "resume"):
         if given.existing == "resume" and not new and is_finished(folder):
             print(f"{folder}: finished already", flush=True)
             return
+        if given.resume is not None and longer:
+            config = _prolonged(config, folder, given.agent.total_episodes)
         torch.set_num_threads(given.threads)
         try:
             _train(config, folder)
@@ -166,6 +172,18 @@ def train(given: TrainRunConfig) -> None:
                     f"{error}; then go on from the last checkpoint with resume={folder}"
                 ) from error
             raise
+
+
+def _prolonged(config: TrainRunConfig, folder: Path, total: int) -> TrainRunConfig:
+    """The settings of a longer run, with a line that says what it is."""
+    longer, difference = prolong(config, folder, total, CONFIG_FILE)
+    said = f"unlike a run of {total} from the start, for {difference}" if difference else "as if planned so"
+    line = f"{folder}: goes on to {total} episodes, {said}"
+    last = getattr(config.agent, "noise_last_episode", total)
+    if last < total:
+        line += f"; without exploration from episode {last} on (agent.noise_last_episode)"
+    print(line, flush=True)
+    return longer
 
 
 def _draws_progress() -> bool:
