@@ -17,7 +17,10 @@ from deepkoco.envs.delay_arguments import DelayWrapperError
 from deepkoco.envs.delay_line import ExpectedDelays
 from deepkoco.envs.vector_delay_wrapper import VectorDelayWrapper
 from deepkoco.koopman.files.forward_files import read_forward_model, write_forward_model
+from deepkoco.koopman.files.model_folder import ModelFolderError
 from deepkoco.koopman.forward_model import ForwardModel, ForwardModelError
+from deepkoco.output.new_folder import FolderExistsError
+from deepkoco.output.whole_file import WriteError
 from deepkoco.runs.settings import ExperimentError
 
 FORWARD_FOLDER = "forward_model"
@@ -138,5 +141,10 @@ def forward_model_of(
         )
     episodes = read_replay(folder, iterations)
     fitted = fit_forward_model(episodes, time_step, derive_seed(seed, Purpose.FORWARD_MODEL), config)
-    write_forward_model(fitted.model, place, fitted.errors)
+    try:
+        write_forward_model(fitted.model, place, fitted.errors)
+    except (FolderExistsError, ModelFolderError, WriteError):
+        if not place.is_dir():
+            raise
+        return read_forward_model(place)  # another evaluation was faster; the seed gave it the same
     return fitted.model

@@ -1,6 +1,9 @@
 """Evaluation among delays: what is bridged, what is refused, what is stored with a run."""
 
 import json
+import multiprocessing
+import shutil
+from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 import pytest
@@ -118,3 +121,16 @@ def test_delays_make_episodes_of_the_same_start_states(run):
     # Torques differ from the first step on; they cost 0.001 of their square, at most 0.004.
     np.testing.assert_allclose(firsts[0], firsts[1], atol=0.005)
     assert episode_costs(collect_episodes(envs, Random(4), 7)).shape == (4,)
+
+
+def _fit(folder):
+    return forward_model_of(folder, 0.05, 0, ForwardFitConfig((8,), updates=200)).layers
+
+
+def test_two_evaluations_that_fit_a_forward_model_at_once_get_the_same_one(run, tmp_path):
+    folder = tmp_path / "run"
+    shutil.copytree(run, folder, ignore=shutil.ignore_patterns(FORWARD_FOLDER))
+    with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("fork")) as pool:
+        first, second = pool.map(_fit, [folder, folder])
+    for one, other in zip(first, second, strict=True):
+        np.testing.assert_array_equal(one[0], other[0])

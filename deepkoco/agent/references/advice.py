@@ -102,7 +102,8 @@ def _leaves_the_range(evidence: Evidence) -> str | None:
     return (
         f"the first episodes go {rounded(float(ratios[entry]))} times as far as those of {best} (entry {entry} of the "
         f"observation: {rounded(float(reached[entry]))} against {rounded(float(wanted[entry]))}); "
-        "less exploration noise (agent.noise_variance) or shorter episodes"
+        f"less exploration{' noise (agent.noise_variance)' if evidence.planned_time is not None else ''} or shorter "
+        "episodes"
     )
 
 
@@ -132,7 +133,7 @@ def _noise(evidence: Evidence) -> str | None:
         return None
     return (
         f"the first episodes use {100 * share:.0f} % of the range of an action; more exploration noise "
-        "(agent.noise_variance, in units of the action squared)"
+        "(agent.noise_variance)"
     )
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.stats import rankdata, wilcoxon
 
 from deepkoco.agent.mean_interval import mean_with_band
 from deepkoco.koopman.exported import Array
@@ -14,6 +15,9 @@ from deepkoco.pages.units import rounded
 ZERO, RANDOM, EDMDC = "zero action", "random episodes", "EDMDc + planner"
 LARGEST_COST = 1e100
 """What a cost that is infinite or no number counts as; the square of its spread must be a number."""
+
+
+LARGEST_P = 0.05
 
 
 @dataclass(frozen=True)
@@ -43,18 +47,28 @@ class Reference:
         name: Which one.
         cost: What it costs.
         difference: Cost of the trained controller minus its cost, paired by start state; below 0 is better.
+        verdict: How the trained controller does beside it: "better", "worse" or "no difference" at 95 %.
     """
 
     name: str
     cost: MeanCost
     difference: MeanCost
+    verdict: str
 
-    @property
-    def verdict(self) -> str:
-        """How the trained controller does beside it: "better", "worse" or "no difference" at 95 %."""
-        if self.difference.high < 0:
-            return "better"
-        return "worse" if self.difference.low > 0 else "no difference"
+    @classmethod
+    def of(cls, name: str, own: Array, costs: Array) -> Reference:
+        """From costs of the same start states (n,) of the trained controller and of the reference.
+
+        The interval of the mean difference decides. Where one of them diverged from some start states, whose costs
+        hide all others in a mean, the signed ranks of the differences do (Wilcoxon, Individual comparisons by ranking
+        methods, 1945), but who diverges more often is not called better.
+        """
+        difference = MeanCost.of(own - costs)
+        often = [int((np.abs(c) >= LARGEST_COST).sum()) for c in (own, costs)]
+        verdict = "better" if difference.high < 0 else "worse" if difference.low > 0 else "no difference"
+        if verdict == "no difference" and any(often):
+            verdict = _verdict_of_ranks(own - costs, often[0] - often[1])
+        return cls(name, MeanCost.of(costs), difference, verdict)
 
 
 @dataclass(frozen=True)
@@ -85,7 +99,7 @@ class Comparison:
         """The others, as far as they were measured."""
         own, names = self._finite(self.agent), [name for name in self.costs if name != self.agent]
         costs = {name: self._finite(name) for name in names}
-        return [Reference(name, MeanCost.of(c), MeanCost.of(own - c)) for name, c in costs.items()]
+        return [Reference.of(name, own, c) for name, c in costs.items()]
 
     def named(self, verdict: str) -> list[str]:
         """Names of the references beside which the trained controller has this verdict."""
@@ -123,3 +137,14 @@ class Comparison:
     def _finite(self, name: str) -> Array:
         costs = np.nan_to_num(np.asarray(self.costs[name], np.float64), nan=LARGEST_COST)
         return np.clip(costs, -LARGEST_COST, LARGEST_COST)
+
+
+def _verdict_of_ranks(differences: Array, diverged_more: int) -> str:
+    """By the signed ranks of paired differences (n,), where the trained one diverged so many times more often."""
+    if not differences.any() or wilcoxon(differences).pvalue > LARGEST_P:
+        return "no difference"
+    ranks = rankdata(np.abs(differences)) * np.sign(differences)
+    better = float(ranks.sum()) < 0.0
+    if diverged_more and better == (diverged_more > 0):
+        return "no difference"
+    return "better" if better else "worse"

@@ -37,7 +37,7 @@ def write_comparison(folder: Path, comparison: Comparison) -> None:
         "line": comparison.line,
         "agent": comparison.agent,
         "cost": asdict(comparison.own),
-        "references": [{**asdict(r), "verdict": r.verdict} for r in comparison.references],
+        "references": [asdict(r) for r in comparison.references],
         "left_out": dict(comparison.left_out),
         "advice": list(comparison.advice),
         **({"kept": comparison.kept} if comparison.kept else {}),
@@ -64,6 +64,17 @@ def read_comparison(folder: Path) -> Comparison | None:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         costs = {name: np.array(values, np.float64) for name, values in content["costs"].items()}
+        sizes = {values.shape for values in costs.values()}
+        if (
+            content["agent"] not in costs
+            or len(sizes) != 1
+            or [len(s) for s in sizes] != [1]
+            or (0,) in sizes
+        ):
+            raise ValueError("it does not hold one cost of each start state for every controller")
+        texts = [*content["left_out"].values(), *content["advice"], content.get("kept", "")]
+        if not isinstance(content["advice"], list) or not all(isinstance(text, str) for text in texts):
+            raise ValueError("advice and reasons should be texts")
         kept = content.get("kept", "")
         return Comparison(content["agent"], costs, content["left_out"], tuple(content["advice"]), kept)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:

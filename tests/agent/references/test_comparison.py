@@ -55,3 +55,21 @@ def test_a_single_start_state_decides_nothing():
     comparison = Comparison("own", {"own": np.array([1.0]), ZERO: np.array([2.0])})
     assert comparison.named("no difference") == [ZERO]
     assert "final cost 1.00 over 1 start state;" in comparison.line
+
+
+def test_one_diverged_start_state_does_not_hide_that_all_others_are_cheaper():
+    own, other = np.arange(10.0), np.arange(10.0) + 1.0
+    other[3] = np.inf
+    assert Comparison("own", {"own": own, ZERO: other}).named("better") == [ZERO]
+    assert Comparison("own", {"own": other, ZERO: own}).named("worse") == [ZERO]
+
+
+def test_who_diverges_is_not_better_for_being_cheaper_elsewhere():
+    own, other = np.arange(10.0), np.arange(10.0) + 1.0
+    own[3] = np.nan
+    assert Comparison("own", {"own": own, ZERO: other}).named("no difference") == [ZERO]
+
+
+def test_controllers_that_diverge_alike_do_not_differ():
+    costs = np.array([1.0, np.inf, 2.0])
+    assert Comparison("own", {"own": costs, ZERO: costs}).named("no difference") == [ZERO]

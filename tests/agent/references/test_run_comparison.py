@@ -84,7 +84,25 @@ def test_the_comparison_can_be_left_out(tmp_path):
         dataclasses.replace(short(), reference_episodes=-1).check()
 
 
-def test_a_damaged_file_is_named(tmp_path):
-    (tmp_path / "references.json").write_text('{"agent": "deepkoco"}')
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"costs": {}},
+        {"costs": {"other": [1.0]}},
+        {"costs": {"deepkoco": [1.0], "zero action": [1.0, 2.0]}},
+        {"costs": {"deepkoco": 1.0}},
+        {"costs": {"deepkoco": []}},
+        {"costs": None},
+        {"advice": "text"},
+        {"left_out": {"EDMDc + planner": 3}},
+        {"left_out": []},
+        {"kept": 1},
+    ],
+)
+def test_a_damaged_file_is_named(changes, tmp_path):
+    whole = {"agent": "deepkoco", "costs": {"deepkoco": [1.0]}, "left_out": {}, "advice": []}
+    (tmp_path / "references.json").write_text(json.dumps(whole))
+    assert read_comparison(tmp_path).agent == "deepkoco"
+    (tmp_path / "references.json").write_text(json.dumps(whole | changes))
     with pytest.raises(CheckpointError, match=r"references\.json: damaged"):
         read_comparison(tmp_path)
