@@ -59,7 +59,8 @@ def write_controller(controller: StoredController, folder: Path) -> None:
         LiftingError: The model holds a function, which no file can hold.
     """
     extra = {
-        "planner": asdict(controller.planner),
+        # Earlier releases do not know the units, which most models do not need.
+        "planner": {name: value for name, value in asdict(controller.planner).items() if value != ()},
         "action_low": np.asarray(controller.action_low, np.float64).tolist(),
         "action_high": np.asarray(controller.action_high, np.float64).tolist(),
         "task": dict(controller.task),
@@ -134,6 +135,7 @@ def _planner(stored: Mapping[str, Any]) -> PlannerConfig:
         "int": lambda value, name: whole_number(value, name, 0),
         "float": lambda value, name: number_above(value, name, 0.0, equal=True),
         "str": text,
+        "tuple[float, ...]": lambda value, name: tuple(number_above(entry, name, 0.0) for entry in value),
     }
     types = {field.name: str(field.type) for field in fields(PlannerConfig)}
     unknown = sorted(set(stored) - set(types))

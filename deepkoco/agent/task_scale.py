@@ -129,7 +129,10 @@ class TaskScale:
 
     def planner(self, planner: PlannerConfig) -> PlannerConfig:
         """Settings of the planner for the task's own units."""
-        return replace(planner, increment_weight=self._weight(planner.increment_weight))
+        if (self.action == self.action[0]).all():
+            return replace(planner, increment_weight=self._weight(planner.increment_weight))
+        units = tuple(float(unit) for unit in self.action)
+        return replace(planner, increment_weight=planner.increment_weight * self.cost, increment_units=units)
 
     def _weight(self, weight: float) -> float:
         """A weight of all squared actions in the task's own units."""

@@ -23,7 +23,7 @@ def controller_constants(model: LoadedModel) -> dict[str, Array]:
         "Lambda": model.Lambda,
         "time_step": np.array(model.time_step),
         "action_weight": np.array(model.action_weight),
-        "increment_weight": np.array(model.planner.increment_weight),
+        "increment_weight": np.array(model.planner.increment_weights),
         "horizon": np.array(float(model.planner.horizon)),
         "action_low": model.action_low,
         "action_high": model.action_high,

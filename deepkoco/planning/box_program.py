@@ -11,7 +11,8 @@ from deepkoco.planning.solvers import make_box_solver
 
 
 class BoxProgram:
-    r"""min over $a_{min} \le a_1 \dots a_H \le a_{max}$ of $|y_0 + D a|^2 + R |a|^2 + \tilde R |\Delta a|^2$.
+    r"""min over $a_{min} \le a_1 \dots a_H \le a_{max}$ of
+    $|y_0 + D a|^2 + a^\top R a + \Delta a^\top \tilde R \Delta a$ with diagonal R and $\tilde R$.
 
     What a condensed form adds is how D and y_0 follow from its model. Written in the actions instead of the
     increments the limits are plain bounds; the two programs are one linear change of variables apart. A
@@ -40,8 +41,8 @@ class BoxProgram:
         """
         steps, actions = problem.horizon, problem.action_low.size
         self._problem = problem
-        difference = np.eye(steps) - np.eye(steps, k=-1)
-        fixed = np.kron(problem.increment_weight * difference.T @ difference, np.eye(actions))
+        difference = np.kron(np.eye(steps) - np.eye(steps, k=-1), np.eye(actions))
+        fixed = problem.increment_weights * difference.T @ difference
         self._fixed = np.asarray(2.0 * (np.diag(problem.action_weights) + fixed), np.float64)
         low, high = np.tile(problem.action_low, steps), np.tile(problem.action_high, steps)
         self._solver = make_box_solver(solver, low, high, tolerance)

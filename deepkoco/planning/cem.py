@@ -107,7 +107,7 @@ class CrossEntropyMethod:
         increments = np.diff(plans, axis=1, prepend=before)
         with np.errstate(over="ignore", invalid="ignore"):
             costs = self._stage_costs(plans, increments)
-        costs += self._problem.increment_weight * np.einsum("skm,skm->s", increments, increments)
+        costs += np.einsum("skm,skm->s", self._problem.increment_weight * increments, increments)
         return np.where(np.isfinite(costs), costs, np.inf)
 
     def planned_cost(self, planned: Array) -> float:

@@ -28,6 +28,8 @@ class PlannerConfig:
     """H, planned steps; a little less than the training horizon T, see docs/training.md."""
     increment_weight: float = 0.01
     """R~, weight of a squared action increment."""
+    increment_units: tuple[float, ...] = ()
+    """Unit of each action in which R~ weighs its increments, for actions of unlike ranges; empty: 1 for all."""
     form: str = "condensed"
     """How the quadratic program is written: "condensed" (actions only) or "sparse" (latents too)."""
     solver: str = "auto"
@@ -51,6 +53,13 @@ class PlannerConfig:
     """Iterations of cem per decision."""
     elites: int = 50
     """Best sequences that cem fits its next distribution to."""
+
+    @property
+    def increment_weights(self) -> float | Array:
+        """R~, one for all actions or one each (M,)."""
+        if not self.increment_units:
+            return self.increment_weight
+        return self.increment_weight / np.square(np.array(self.increment_units, np.float64))
 
     def check(self, trained_horizon: int | None = None) -> None:
         """Check the settings.
@@ -77,6 +86,10 @@ class PlannerConfig:
             )
         if not 0 <= self.increment_weight < np.inf:
             raise PlannerConfigError(f"planner.increment_weight = {self.increment_weight}; give 0 or more")
+        if not all(0 < unit < np.inf for unit in self.increment_units):
+            raise PlannerConfigError(
+                f"planner.increment_units = {list(self.increment_units)}; give numbers above 0"
+            )
         if not 0 < self.tolerance < np.inf:
             raise PlannerConfigError(f"planner.tolerance = {self.tolerance}; give a value above 0")
         for name, choices in CHOICES.items():
@@ -97,7 +110,7 @@ class PlanningProblem:
         action_low: a_min (M,).
         action_high: a_max (M,).
         action_weight: R, one for all actions or one each (M,).
-        increment_weight: R~.
+        increment_weight: R~, likewise.
         horizon: H.
         cost_rank: r, rows of the cost factor.
     """
@@ -106,7 +119,7 @@ class PlanningProblem:
     action_low: Array
     action_high: Array
     action_weight: float | Array
-    increment_weight: float
+    increment_weight: float | Array
     horizon: int
     cost_rank: int = 1
 
@@ -114,3 +127,8 @@ class PlanningProblem:
     def action_weights(self) -> Array:
         """R of each planned action (H M,)."""
         return np.tile(np.broadcast_to(self.action_weight, self.action_low.shape), self.horizon)
+
+    @property
+    def increment_weights(self) -> Array:
+        """R~ of each planned increment (H M,)."""
+        return np.tile(np.broadcast_to(self.increment_weight, self.action_low.shape), self.horizon)

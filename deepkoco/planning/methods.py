@@ -17,6 +17,7 @@ from deepkoco.planning.along_plan import (
 from deepkoco.planning.cem import CrossEntropyMethod
 from deepkoco.planning.condensed import CondensedProgram, VaryingCondensedProgram
 from deepkoco.planning.config import Array, PlannerConfig, PlanningProblem
+from deepkoco.planning.errors import PlannerConfigError
 from deepkoco.planning.planner import Planner
 from deepkoco.planning.program import Program
 from deepkoco.planning.sparse import SparseProgram
@@ -73,12 +74,17 @@ def make_planner(
         UnknownSolverError: The solver is not installed.
     """
     config.check()
+    if len(config.increment_units) not in (0, model.action_size):
+        raise PlannerConfigError(
+            f"planner.increment_units = {list(config.increment_units)}; give one for each of "
+            f"{model.action_size} actions"
+        )
     problem = PlanningProblem(
         model.dynamics,
         np.asarray(action_low, np.float64),
         np.asarray(action_high, np.float64),
         model.action_weight,
-        config.increment_weight,
+        config.increment_weights,
         config.horizon,
         model.cost_rank,
     )

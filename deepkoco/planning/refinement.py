@@ -63,7 +63,7 @@ class Refinement:
         self._convexity = float(np.linalg.eigvalsh(fixed)[0])
         difference = np.kron(np.eye(steps) - np.eye(steps, k=-1), np.eye(actions))
         self._weights = np.vstack(
-            (np.diag(problem.action_weights**0.5), problem.increment_weight**0.5 * difference)
+            (np.diag(problem.action_weights**0.5), problem.increment_weights[:, None] ** 0.5 * difference)
         )
 
     def is_well_conditioned(self, hessian: Array) -> bool:

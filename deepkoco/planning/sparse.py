@@ -85,8 +85,8 @@ class SparseProgram:
         self._entries = data.real.astype(np.float64)
         self._right = np.zeros(int(ends[2]))
 
-        weights: Array = np.repeat([0.0, 1.0, 0.0, problem.increment_weight], sizes)
-        weights[self._parts[2]] = problem.action_weights
+        weights: Array = np.repeat([0.0, 1.0, 0.0, 0.0], sizes)
+        weights[self._parts[2]], weights[self._parts[3]] = problem.action_weights, problem.increment_weights
         low, high = np.full(int(ends[3]), -np.inf), np.full(int(ends[3]), np.inf)
         low[self._parts[2]] = np.tile(problem.action_low, steps)
         high[self._parts[2]] = np.tile(problem.action_high, steps)

@@ -26,6 +26,7 @@ from deepkoco.koopman.lifting.lifting import (
     Polynomial,
     RadialBasis,
     RandomFourier,
+    ScaledRadialBasis,
     TimeDelays,
 )
 from deepkoco.koopman.lifting.network import Network
@@ -37,6 +38,8 @@ LIFTINGS = [
     RadialBasis(RNG.normal(size=(4, 3)), "gauss", 0.7),
     RandomFourier(RNG.normal(size=(4, 3)), False),
     TimeDelays(3, 2, 2),
+    ScaledRadialBasis(RNG.normal(size=3), RNG.normal(size=(3, 2)), RNG.normal(size=(4, 2))),
+    ScaledRadialBasis(np.zeros(3), np.eye(3), np.zeros((0, 3))),
     Network(((RNG.normal(size=(5, 3)), RNG.normal(size=5)), (RNG.normal(size=(2, 5)), np.zeros(2))), "elu"),
 ]
 
@@ -355,3 +358,21 @@ def test_any_shape_of_any_array_is_read_or_refused(name, shape, stored):
     else:
         with pytest.raises(ModelFolderError, match="damaged"):
             read_model_folder(folder)
+
+
+@pytest.mark.parametrize("make", [make_network, make_lifted])
+def test_a_weight_of_each_action_is_kept(make, tmp_path):
+    model, weights = make(), np.array([0.1, 20.0])
+    if isinstance(model, ExportedModel):
+        model = replace(model, action_weight=weights)
+    else:
+        cost = replace(model.cost, action_weight=weights)
+        model = LiftedLinearModel(model.lifting, model.transition, model.inputs, cost, model.time_step)
+    write_model_folder(model, tmp_path / "m", {})
+    read, _ = read_model_folder(tmp_path / "m")
+    np.testing.assert_array_equal(read.action_weight, weights)
+    config = json.loads((tmp_path / "m" / "config.json").read_text())
+    for wrong in ([0.1], [0.1, -1.0], [0.1, "2"]):
+        forge(tmp_path / "m", {**config, "action_weight": wrong})
+        with pytest.raises(ModelFolderError):
+            read_model_folder(tmp_path / "m")

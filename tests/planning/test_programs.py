@@ -296,3 +296,13 @@ def test_a_model_that_takes_the_action_itself_is_a_dense_transition():
     state = np.array([[3.0, 0.0], [1.0, 1.0]]), np.array([[1.0, 0.0]]), np.zeros(1)
     for program in (CondensedProgram(problem, "daqp", 1e-6), SparseProgram(problem, "osqp", 1e-9)):
         assert program.solve(*state)[0, 0] == pytest.approx(-1.5, abs=1e-6)
+
+
+@pytest.mark.parametrize("form", [CondensedProgram, SparseProgram])
+def test_every_action_may_have_weights_of_its_own(random_model, random_state, form):
+    model = random_model(3, actions=2)
+    problem = make_problem(model, 4, action_weight=np.array([0.001, 2.0]))
+    problem = replace(problem, increment_weight=np.array([0.5, 0.01]))
+    state = random_state(model, 3)
+    planned = form(problem, "osqp" if form is SparseProgram else "daqp", 1e-9).solve(*state)
+    np.testing.assert_allclose(planned.ravel(), brute_force(problem, *state), atol=1e-4)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from scipy.stats import rankdata, wilcoxon
@@ -141,7 +142,10 @@ class Comparison:
 
 def _verdict_of_ranks(differences: Array, diverged_more: int) -> str:
     """By the signed ranks of paired differences (n,), where the trained one diverged so many times more often."""
-    if not differences.any() or wilcoxon(differences).pvalue > LARGEST_P:
+    if not differences.any():
+        return "no difference"
+    tested: Any = wilcoxon(differences)
+    if tested.pvalue > LARGEST_P:
         return "no difference"
     ranks = rankdata(np.abs(differences)) * np.sign(differences)
     better = float(ranks.sum()) < 0.0

@@ -79,7 +79,7 @@ def facts(run: TrainedRun, episodes: int, seed: int) -> dict[str, str]:
         "seed of the run": str(settings.seed),
         "training horizon T": trained,
         "planning horizon H": str(planner.horizon),
-        "weights R, R~": f"{_one_or_each(run.model.action_weight)}, {planner.increment_weight:g}",
+        "weights R, R~": f"{_one_or_each(run.model.action_weight)}, {_one_or_each(planner.increment_weights)}",
         "solver": f"{planner.solver}, {planner.form} form",
         "limits of the action": f"{run.action_low.tolist()} to {run.action_high.tolist()}",
         "episodes of this page": f"{episodes}, noise-free, seed {seed}; distractors from the evaluation split",
