@@ -132,7 +132,8 @@ class TrainingConfig:
     """Noise-free episodes after every iteration; 0 for none."""
     keep: str = "best"
     """Weights that are evaluated at the end and exported: "last": those of the end; "best": those of the iteration
-    with the lowest mean cost of `evaluation_episodes`, whose start states are not those of the final evaluation."""
+    with the lowest mean cost of `evaluation_episodes`, whose start states are not those of the final evaluation. With
+    `warm_start`, "best" is EDMDc of the run's own episodes where that did better than all weights."""
     final_evaluation_episodes: int = 200
     """Noise-free episodes at the end of the run."""
     reference_episodes: int = 50

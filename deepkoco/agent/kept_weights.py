@@ -62,6 +62,18 @@ class KeptWeights:
         if self.weights:
             module.load_state_dict(self.weights)
 
+    @property
+    def row(self) -> dict[str, float]:
+        """Its metrics."""
+        linear = float(self.linear is not None)
+        return {"kept/cost": self.cost, "kept/episodes": self.episodes, "kept/linear": linear}
+
+    @property
+    def origin(self) -> dict[str, Any]:
+        """What an exported model says of where it comes from."""
+        found: dict[str, Any] = {"kept_episodes": self.episodes} if self.weights else {}
+        return found | ({"kept": "EDMDc"} if self.linear is not None else {})
+
     def state_dict(self) -> dict[str, Any]:
         """What a checkpoint needs."""
         state: dict[str, Any] = {"cost": self.cost, "episodes": self.episodes, "weights": self.weights}

@@ -283,13 +283,7 @@ class Trainer:
             self._kept.offer(self.averaged_model, float(costs.mean()), len(self._buffer))
             if self.progress.iteration == 0 or self._kept.linear is not None:
                 self._offer_linear()
-        kept: Row = {}
-        if config.keep == "best":
-            kept = {
-                "kept/cost": self._kept.cost,
-                "kept/episodes": self._kept.episodes,
-                "kept/linear": float(self._kept.linear is not None),
-            }
+        kept = self._kept.row if config.keep == "best" else {}
         planner, clock = planner_metrics(agent, episodes, config.planner.horizon)
         self.progress.iteration += 1
         self.progress.collected, self.progress.iteration_updates = False, 0
@@ -391,8 +385,7 @@ class Trainer:
             "seed": self.seed,
             "episodes": len(self._buffer),
             "updates": self.progress.updates,
-            **({"kept_episodes": self._kept.episodes} if self._kept.weights else {}),
-            **({"kept": "EDMDc"} if self._kept.linear is not None else {}),
+            **self._kept.origin,
             **comparison,
             "package": f"deepkoco {__version__}",
         }
