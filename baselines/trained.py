@@ -78,7 +78,7 @@ def trained_baseline(
         first=first,
         rows=rows,
         planner=units.planner(PlannerConfig()),
-        action_weight=units.weight(model.action_weight),
+        action_weight=units.action_weight(model.action_weight),
         time_step=model.time_step,
         low=np.asarray(low, np.float64),
         high=np.asarray(high, np.float64),

@@ -177,7 +177,11 @@ def train(given: TrainRunConfig) -> None:
 def _prolonged(config: TrainRunConfig, folder: Path, total: int) -> TrainRunConfig:
     """The settings of a longer run, with a line that says what it is."""
     longer, difference = prolong(config, folder, total, CONFIG_FILE)
-    said = f"unlike a run of {total} from the start, for {difference}" if difference else "as if planned so"
+    said = (
+        f"unlike a run of {total} from the start: {difference}"
+        if difference
+        else f"as a run of {total} from the start"
+    )
     line = f"{folder}: goes on to {total} episodes, {said}"
     last = getattr(config.agent, "noise_last_episode", total)
     if last < total:
