@@ -15,6 +15,7 @@ from deepkoco.koopman.exported import Array
 from deepkoco.pages.units import rounded
 
 MOST_PROPOSALS = 3
+CHEAP_SHARE = 0.2
 
 
 @dataclass(frozen=True)
@@ -147,6 +148,20 @@ def _flat_cost(evidence: Evidence) -> str | None:
     )
 
 
+def _rare_cheap_steps(evidence: Evidence) -> str | None:
+    costs = np.concatenate([episode.costs.numpy() for episode in evidence.first]).astype(np.float64)
+    costs = costs[np.isfinite(costs)]
+    lowest, usual, highest = np.quantile(costs, [0.0, CHEAP_SHARE, 1.0])
+    if not usual > highest - 0.1 * (highest - lowest):
+        return None
+    share = float((costs < highest - 0.1 * (highest - lowest)).mean())
+    return (
+        f"only {100.0 * share:.2g} % of the steps of the first episodes cost less than {rounded(float(usual))}, so "
+        "hardly anything says where the goal is; a cost that falls on the way to it, or more episodes "
+        f"(agent.total_episodes={2 * evidence.total_episodes})"
+    )
+
+
 def _failures(evidence: Evidence) -> str | None:
     decisions = sum(episode.costs.numel() for episode in evidence.own) / max(1, len(evidence.own))
     decisions *= evidence.last("evaluation/episodes")
@@ -224,6 +239,7 @@ RULES: tuple[Callable[[Evidence], str | None], ...] = (
     _rare_rewards,
     _short_episodes,
     _flat_cost,
+    _rare_cheap_steps,
     _leaves_the_range,
     _spread,
     _noise,

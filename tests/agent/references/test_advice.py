@@ -48,6 +48,7 @@ UNIFORM = np.random.default_rng(1).uniform(-1, 1, (40, 2))
         ({"first": episodes(costs=np.append(np.ones(79), -100), steps=80)}, "rare rewards up to 100 count as 0.000"),
         ({"first": episodes(steps=9)}, "100 % of the first episodes end before one training window of 16 steps"),
         ({"first": episodes(costs=np.full(40, 0.99))}, "hardly varies in the first episodes (0.990"),
+        ({"first": episodes(costs=np.append(np.ones(38), [0, 0]))}, "only 5 % of the steps of the first episodes cost"),
         (
             {"first": episodes(np.array([8.0, 8.0]) * UNIFORM), "others": {ZERO: episodes(UNIFORM)}},
             "7.63 times as far as those of zero action",
