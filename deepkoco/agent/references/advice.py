@@ -92,6 +92,9 @@ def _leaves_the_range(evidence: Evidence) -> str | None:
     best = next((name for name in evidence.others if name != RANDOM), None)
     if best is None or (first := _observations(evidence.first)) is None:
         return None
+    # Where a reference does no better than noise, where it goes is not where the task is.
+    if RANDOM in evidence.others and _cost(evidence.others[best]) >= _cost(evidence.others[RANDOM]):
+        return None
     needed = _observations(evidence.others[best])
     assert needed is not None
     reached, wanted = (np.quantile(np.abs(o - np.median(needed, 0)), 0.95, axis=0) for o in (first, needed))
@@ -251,6 +254,11 @@ RULES: tuple[Callable[[Evidence], str | None], ...] = (
     _saturated,
 )
 """What matters most first: what no setting of the learning can mend comes before what more training may."""
+
+
+def _cost(episodes: Sequence[Episode]) -> float:
+    """Mean cost of an episode."""
+    return float(np.mean([float(episode.costs.double().sum()) for episode in episodes]))
 
 
 def _observations(episodes: Sequence[Episode]) -> Array | None:

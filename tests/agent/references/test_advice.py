@@ -8,7 +8,7 @@ import torch
 
 from deepkoco.agent.buffer import Episode
 from deepkoco.agent.references.advice import Evidence, advise
-from deepkoco.agent.references.comparison import ZERO
+from deepkoco.agent.references.comparison import RANDOM, ZERO
 
 
 def episodes(observations=None, actions=None, costs=None, steps: int = 40) -> list[Episode]:
@@ -68,6 +68,12 @@ UNIFORM = np.random.default_rng(1).uniform(-1, 1, (40, 2))
 def test_every_finding_has_its_remedy(change, words):
     (first, *_) = advise(dataclasses.replace(HEALTHY, **change))
     assert words in first
+
+
+def test_where_a_reference_no_better_than_noise_goes_says_nothing():
+    others = {ZERO: episodes(UNIFORM), RANDOM: episodes(costs=np.full(40, 0.1))}
+    change = {"first": episodes(np.array([8.0, 8.0]) * UNIFORM), "others": others}
+    assert not any("as far" in text for text in advise(dataclasses.replace(HEALTHY, **change)))
 
 
 def test_settings_that_an_agent_does_not_have_are_not_proposed():
