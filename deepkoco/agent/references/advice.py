@@ -16,6 +16,8 @@ from deepkoco.pages.units import rounded
 
 MOST_PROPOSALS = 3
 CHEAP_SHARE = 0.2
+RARE_MARGIN = 0.05
+"""Share of a reward by which it is above the usual one, at least, to be rare."""
 
 
 @dataclass(frozen=True)
@@ -69,10 +71,11 @@ def advise(evidence: Evidence, most: int = MOST_PROPOSALS) -> tuple[str, ...]:
 def _rare_rewards(evidence: Evidence) -> str | None:
     costs = np.concatenate([episode.costs.numpy() for episode in (*evidence.first, *evidence.own)])
     counted = lowest_cost(evidence.first)
-    if evidence.planned_time is None or not (costs < counted - 1e-6 * (1.0 + abs(counted))).any():
+    lowest = float(costs.min())
+    if evidence.planned_time is None or lowest >= counted - RARE_MARGIN * max(abs(lowest), abs(counted)):
         return None
     return (
-        f"rare rewards up to {rounded(float(-costs.min()))} count as {rounded(abs(counted))}, for a squared cost"
+        f"rare rewards up to {rounded(-lowest)} count as {rounded(abs(counted))}, for a squared cost"
         " represents none above what nearly every step pays; a reward that grows on the way to the goal"
     )
 
