@@ -52,7 +52,16 @@ def read_logs(
                     f"{path}: the system of the sidecar: {error}; give --system for one of your own: {OWN_SYSTEM}"
                 ) from error
         channels = [(c.name, c.unit, c.kind) for c in (*system.commands, *system.measurements)]
-        recordings.append(read_log(path, args.map, system.name, channels=channels, fill=args.fill))
+        recordings.append(
+            read_log(
+                path,
+                args.map,
+                system.name,
+                channels=channels,
+                pairs=system.speeds_of_positions,
+                fill=args.fill,
+            )
+        )
     assert system is not None or not paths
     return system, recordings  # type: ignore[return-value]
 

@@ -344,7 +344,7 @@ def noisier(windows: Windows, floor: float, correlation: float = 1.0) -> Windows
     """
     return replace(
         windows,
-        noise=tuple(n._replace(sd=math.sqrt(floor) * n.sd) for n in windows.noise),
+        noise=tuple(n.times(math.sqrt(floor)) for n in windows.noise),
         varies={n: sd / math.sqrt(correlation) for n, sd in windows.varies.items()},
         stamp_sd=tuple(math.sqrt(floor) * sd for sd in windows.stamp_sd),
     )

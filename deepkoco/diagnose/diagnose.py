@@ -23,6 +23,7 @@ from deepkoco.diagnose.probability.shadow import with_evidence
 from deepkoco.diagnose.progress import Progress, silent
 from deepkoco.diagnose.request import DiagnosisRequest
 from deepkoco.diagnose.time_limit import TimeLimit
+from deepkoco.diagnose.verdict.elastic_drives import with_elastic_drives
 from deepkoco.diagnose.verdict.judgement import judge
 from deepkoco.diagnose.verdict.result import diagnosis_of, insufficient
 from deepkoco.diagnose.weighed import weigh
@@ -32,6 +33,7 @@ from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.fit.threads import one_thread
 from deepkoco.logs.read_logs import Logs, read_logs
 from deepkoco.systems import ExtendedSystem, System, any_system
+from deepkoco.systems.stretchable import stretchable_if_asked
 
 
 def diagnose(
@@ -84,7 +86,7 @@ def diagnose(
         TimeLimitError: ``time_limit`` is not positive.
     """
     began = time.perf_counter()
-    base = any_system(system)
+    base = stretchable_if_asked(any_system(system), only)
     plain = base.base if isinstance(base, ExtendedSystem) else base
     recordings, healthy, holdout = (read_logs(logs, base) for logs in (recordings, healthy, holdout))
     all_causes, measured = catalogue(plain), measured_channels([*recordings, *holdout])
@@ -144,6 +146,7 @@ def _diagnosed(request: DiagnosisRequest, start: Baseline, unfitted: Sequence[st
     explanation = weigh(request, explain(request, start, unfitted))
     request, explanation = on_longer_windows(request, explanation)
     judgement = judge(request, explanation)
+    request, explanation, judgement = with_elastic_drives(request, explanation, judgement)
     weighed = request.evidence and request.limit.allows("probabilities of the causes")
     result = diagnosis_of(request, explanation, judgement)
     return with_evidence(result, request, explanation.base, explanation.weights) if weighed else result

@@ -48,7 +48,7 @@ def read_logs(
         found = any_system(system)
         channels = [(c.name, c.unit, c.kind) for c in (*found.commands, *found.measurements)]
         result += [
-            read_log(path, mapping, found.name, channels=channels, fill=fill)
+            read_log(path, mapping, found.name, channels=channels, pairs=found.speeds_of_positions, fill=fill)
             for path in recordings([log], episodes)
         ]
     return result

@@ -96,6 +96,7 @@ def read_log(
     *,
     channels: Iterable[tuple[str, str, str]] | None = None,
     systems: Sequence[str] = (),
+    pairs: Sequence[tuple[str, str]] | None = None,
     fill: str | None = None,
     min_samples: int = 20,
     min_seconds: float = 1.0,
@@ -116,6 +117,7 @@ def read_log(
         system: name of the system of the log; None takes the name in the sidecar.
         channels: (name, unit, kind) of every channel of the system; None accepts any channel.
         systems: names of all known systems; another name is an error. Empty: not checked.
+        pairs: channels of which the second is the speed of the first; None finds them by their units and names.
         fill: rule for missing values: None raises, "drop" leaves the sample out, "hold" repeats the previous one.
         min_samples: smallest number of samples of a measurement.
         min_seconds: shortest duration of a log [s].
@@ -153,13 +155,15 @@ def read_log(
     notes += [note for reader in readers.values() for note in (*reader.log.notes, *reader.notes)]
     if by_name:
         notes.append("no sidecar: the columns with the names of the channels were taken in SI units")
-    frozen = frozen_stretches(series, derivative_pairs(series))
+    if pairs is not None:
+        pairs = [(a, b) for a, b in pairs if a in series and b in series]
+    frozen = frozen_stretches(series, derivative_pairs(series) if pairs is None else pairs)
     frozen = [f for f in frozen if not sidecar.channels[f.channel].checked]
     measured = series
     series = {n: without_frozen(s, [f for f in frozen if f.channel == n]) for n, s in series.items()}
     check_share(path, measured, series)
     notes += summarised(frozen)
-    doubts = check_units(path, series, sidecar.channels)
+    doubts = check_units(path, series, sidecar.channels, pairs)
     unknown = tuple(sorted({*unknown_stretches(series), *((f.start, f.stop) for f in frozen)}))
     if unknown:
         seconds = sum(end - begin for begin, end in unknown if end < np.inf)

@@ -9,6 +9,8 @@ from typing import Any
 import yaml
 
 from deepkoco.output.whole_file import write_whole_text
+from deepkoco.systems.effects.elastic import ELASTIC
+from deepkoco.systems.elastic_drive import ElasticDrive
 from deepkoco.systems.extended import ExtendedSystem
 from deepkoco.systems.origins import find_stored, origin_of, stored_origin
 from deepkoco.systems.registry import SYSTEMS, UnknownSystemError, make_system
@@ -73,6 +75,8 @@ def load_model(path: str | Path) -> ExtendedSystem:
     try:
         values = {name: float(entry["value"]) for name, entry in document["parameters"].items()}
         base = _base_of(document, path)
+        if any(str(effect).split("(")[0] == ELASTIC.name for effect in document["effects"]):
+            base = ElasticDrive(base)
         system = ExtendedSystem(base, tuple(document["effects"]), values)
     except (KeyError, TypeError, AttributeError) as error:
         raise ModelFileError(f"{path}: misses or garbles the entry {error}") from error

@@ -35,6 +35,11 @@ class NamedJoints:
         raise NotImplementedError
 
     @property
+    def own_joints(self) -> int:
+        """Number of joints at which effects act; any further coordinates only follow them."""
+        return self.joints
+
+    @property
     def joint_names(self) -> tuple[str, ...]:
         """Name of each joint in reports and, of several joints, in the names of effects: ``coulomb(cart)``."""
         return tuple(f"joint {j + 1}" for j in range(self.joints))

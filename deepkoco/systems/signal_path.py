@@ -82,8 +82,21 @@ class SignalPath:
 
     @property
     def shows_states(self) -> bool:
-        """Whether sensors without any error show states as they are."""
-        return type(self).ideal_measurement is SignalPath.ideal_measurement
+        """Whether sensors without any error show states as they are, also where a class says so in its own words."""
+        if type(self).ideal_measurement is SignalPath.ideal_measurement:
+            return True
+        state = torch.arange(1.0, len(self.state_names) + 1.0, dtype=torch.float64).sqrt()
+        shown = [k for k in self.measured_states if k < len(state)]
+        return torch.equal(self.ideal_measurement(state), state[shown])
+
+    @property
+    def speeds_of_positions(self) -> tuple[tuple[str, str], ...] | None:
+        """Channels of which the second is the derivative of the first; None where channels do not show states."""
+        if not self.shows_states:
+            return None
+        names = dict(zip(self.measured_states, (c.name for c in self.measurements), strict=True))
+        pairs = ((names.get(j), names.get(j + self.joints)) for j in range(self.joints))
+        return tuple((a, b) for a, b in pairs if a is not None and b is not None)
 
     def ideal_measurement(self, state: Tensor) -> Tensor:
         """What sensors without any error measure (..., N) of a state (..., S): by default the `measured_states`."""

@@ -67,6 +67,23 @@ class WrappedSystem(System):
         return self.base.joint_names
 
     @property
+    def own_joints(self) -> int:
+        return self.base.own_joints
+
+    @property
+    def coupled_joints(self) -> tuple[tuple[int, int], ...]:
+        return self.base.coupled_joints
+
+    def at_joint(self, name: str, joint: int) -> str:
+        return self.base.at_joint(name, joint)
+
+    def at_command(self, name: str, command: int) -> str:
+        return self.base.at_command(name, command)
+
+    def timing_at(self, name: str, command: int) -> str:
+        return self.base.timing_at(name, command)
+
+    @property
     def loaded_joints(self) -> tuple[int, ...]:
         return self.base.loaded_joints
 

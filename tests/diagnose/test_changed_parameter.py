@@ -21,10 +21,13 @@ from deepkoco.excitation.record import record
 from deepkoco.fit.data.windows import cut_windows, moving, window_length
 from deepkoco.fit.fit import FitProblem, Trial
 from deepkoco.fit.solve.prior import Prior
+from deepkoco.logs.read_logs import read_logs
 from deepkoco.logs.recording import Recording, Series
-from deepkoco.systems import Channel, Parameter, System, make_system
+from deepkoco.systems import Channel, Parameter, System, load_system, make_system
 from deepkoco.unit import make_unit
+from tests.diagnose.test_own_robots import CART
 from tests.oracle.levitated_ball import Maglev, levitated_ball
+from tests.oracle.own_robots import CartPoleUnit
 from tests.systems.cart_pole import POLE_MASS, CartPole, cart_pole_log
 
 
@@ -160,6 +163,21 @@ def test_changed_parameter_reads_names_with_brackets():
     assert changed_parameter("changed(damping(elbow))") == "damping(elbow)"
     assert changed_parameter("coulomb(joint 2)") is None
     assert spoken("changed(damping(elbow))") == "another value of damping (elbow)"
+
+
+def test_what_is_far_off_is_told_on_a_machine_that_differs_a_little_in_everything(tmp_path):
+    # No three new values explain this log, because five differ; one of them by 2.5 declared deviations.
+    unit = CartPoleUnit(
+        cart_mass=0.614, pole_mass=0.206, length=0.3035, cart_viscous=0.75, pole_viscous=0.0026
+    )
+    cart = load_system(CART)
+    windows = cut_windows(read_logs(unit.log(tmp_path, seconds=10.0), cart), cart, 1.0)
+    start = baseline_from(cart, windows)
+    windows, found = refit_sharply(start, windows.take(moving(windows)))
+    (moved,) = moved_parameters(FitProblem(start.system, windows), start, found)
+    assert moved.name == "cart_viscous"
+    assert moved.estimate.value == pytest.approx(0.75, rel=0.02)
+    assert moved.prior_sds == pytest.approx(2.5, abs=0.2)
 
 
 def test_of_two_parameters_whose_ratio_alone_shows_the_less_known_one_is_named():

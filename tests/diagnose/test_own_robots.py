@@ -1,6 +1,7 @@
 """Diagnoses of robots that are not in the package, from the command line, with logs of independent simulations."""
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +9,8 @@ import pytest
 
 from deepkoco.cli.command_line import main
 from deepkoco.diagnose.causes import catalogue
-from deepkoco.systems import ExtendedSystem, load_system
+from deepkoco.diagnose.verdict.advice import naming
+from deepkoco.systems import ExtendedSystem, load_system, make_system
 from tests.oracle.own_robots import CartPoleUnit, MotorUnit
 
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
@@ -61,6 +63,15 @@ def test_of_parameters_that_a_log_cannot_tell_apart_the_least_known_one_leads(tm
     (cause,) = report["causes"]
     assert cause["name"] == "changed(load_inertia)"
     assert cause["parameters"]["load_inertia"]["value"] == pytest.approx(3e-4, rel=0.05)
+
+
+def test_advised_commands_name_a_robot_by_its_file(tmp_path, monkeypatch):
+    # Nobody has registered its name.
+    shutil.copy(EXAMPLES / "cart_pole.py", tmp_path / "mine.py")
+    monkeypatch.chdir(tmp_path)
+    option, value = naming(load_system("mine.py:CartPole"))
+    assert (option, value) == ("--system", "mine.py:CartPole")
+    assert naming(make_system("rod_pendulum")) == ["--system", "rod_pendulum"]
 
 
 def test_only_a_joint_without_a_motor_may_have_a_constant_load():

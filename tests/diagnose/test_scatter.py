@@ -55,6 +55,14 @@ def test_noise_level_compares_noise_with_the_data_sheet():
     assert loud.likelihood_ratio > 60.0
 
 
+def test_noise_level_leaves_out_what_the_rounding_of_commands_does():
+    loud = view(noise=(0.002, 0.05))
+    added = tuple(n.with_simulated(63.0 * n.sd**2) for n in loud.windows.noise)  # the whole: 8 times as much
+    assert added[0].sd == pytest.approx(8.0 * 0.002)
+    again = noise_level(loud._replace(windows=replace(loud.windows, noise=added)), 0)
+    assert again is None or again.likelihood_ratio < 1.0
+
+
 def test_noise_level_leaves_out_what_counts_as_noise_for_its_model_error():
     loud = view(noise=(0.008, 0.05))
     assert noise_level(loud._replace(floor=4.0), 0).value == pytest.approx(2.0)

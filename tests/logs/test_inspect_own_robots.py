@@ -11,6 +11,9 @@ from deepkoco import Channel, Parameter, System
 from deepkoco.cli.command_line import main
 from deepkoco.logs.formats import open_log
 from deepkoco.logs.inspect import doubts_of, propose, survey_log
+from deepkoco.logs.inspect.names import read_name
+from deepkoco.logs.read_logs import read_logs
+from deepkoco.logs.recording import LogError, read_log
 
 T = np.arange(0.0, 8.0, 0.01)
 FAST, SLOW = np.sin(2.0 * T) + np.sin(3.7 * T), np.cos(0.9 * T) + np.sin(1.3 * T)
@@ -227,3 +230,58 @@ def test_a_command_far_above_its_limit_is_asked_for_the_units_that_bring_it_belo
     survey = survey_log(open_log(tmp_path / "log.csv"))
     doubts = doubts_of(survey, propose(survey, channels(servo)).proposal)
     assert any(f"check its unit {asked}" in d for d in doubts)
+
+
+class WheelPendulum(System):
+    """A pendulum with a reaction wheel, of which the speed is measured and not the angle."""
+
+    joint_names, joint_units = ("body", "wheel"), ("rad", "rad")
+    parameters = (Parameter("inertia", 1.0, "kg m2", 0.1, 10.0, 0.1, "J"),)
+    commands = (Channel("current", "A", "command", -5.0, 5.0),)
+    measurements = (
+        Channel("tilt", "rad", "measurement", noise_sd=1e-3),
+        Channel("wheel_speed", "rad/s", "measurement", noise_sd=0.1),
+    )
+    measured_states = (0, 3)
+
+    def ideal_measurement(self, state):
+        return state[..., [0, 3]]
+
+    def accelerations(self, p):
+        return lambda m: (
+            (m.load(0) - m.efforts[0]) / p["inertia"],
+            (m.load(1) + m.efforts[0]) / p["inertia"],
+        )
+
+
+def test_an_angle_and_the_speed_of_another_joint_are_not_compared(tmp_path):
+    log = tmp_path / "wheel.csv"
+    table = {"t": T, "i [A]": SLOW, "body [deg]": np.degrees(FAST), "rotor [rpm]": 300.0 * SLOW + 40.0 * FAST}
+    pd.DataFrame(table).to_csv(log, index=False)
+    system = WheelPendulum()
+    assert system.shows_states
+    assert system.speeds_of_positions == ()
+    found = {c.channel.name: c.unit for c in propose(survey_log(open_log(log)), system).proposal.choices}
+    assert found == {"tilt": "deg", "wheel_speed": "rpm", "current": "A"}
+    mapping = {
+        "time": {"column": "t", "unit": "s"},
+        "channels": {
+            "current": {"column": "i [A]", "unit": "A", "kind": "command"},
+            "tilt": {"column": "body [deg]", "unit": "deg", "kind": "measurement"},
+            "wheel_speed": {"column": "rotor [rpm]", "unit": "rpm", "kind": "measurement"},
+        },
+    }
+    (recording,) = read_logs(log, system, mapping=mapping)
+    assert recording.names("measurement") == ("tilt", "wheel_speed")
+    with pytest.raises(LogError, match="not the derivative"):
+        read_log(log, mapping)
+
+
+def test_goal_and_measurement_are_told_apart_by_their_german_words():
+    for goal, measured in (("v_soll[m/s]", "v_ist[mm/s]"), ("Sollwert [mm]", "Istwert [mm]")):
+        assert read_name(goal).wanted
+        assert not read_name(goal).measured
+        assert read_name(measured).measured
+        assert not read_name(measured).wanted
+    assert read_name("Drehmoment [Nm]").speaks_for("torque") > 0.0
+    assert read_name("Winkel [°]").speaks_for("angle") > 0.0

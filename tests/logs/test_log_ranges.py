@@ -12,9 +12,10 @@ from deepkoco.logs.series import Series, far_values
 from deepkoco.logs.sidecar import ChannelColumn, Column
 
 
-def checked(value: np.ndarray) -> list[str]:
+def checked(value: np.ndarray, unit: str = "rad") -> list[str]:
+    """Doubts about an angle [rad] whose column was declared in ``unit``."""
     t = 0.01 * np.arange(len(value))
-    column = ChannelColumn(Column("theta", "rad"), "measurement", None)
+    column = ChannelColumn(Column("theta", unit), "measurement", None)
     return check_units(Path("log.csv"), {"theta": Series(t, value, "rad", "measurement")}, {"theta": column})
 
 
@@ -25,6 +26,12 @@ SWING = np.sin(0.03 * np.arange(2000))
 def test_check_units_refuses_an_implausible_scale(factor):
     with pytest.raises(LogError, match="if it is in deg"):
         checked(factor * SWING)
+
+
+def test_an_angle_that_is_declared_in_degrees_may_turn_many_times():
+    assert checked(300.0 * SWING, "deg") == []
+    with pytest.raises(LogError, match="if it is in deg"):
+        checked(300.0 * SWING, "rev")
 
 
 def test_check_units_accepts_wrapped_angles_and_single_glitches():

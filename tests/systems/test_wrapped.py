@@ -21,6 +21,7 @@ OWN = {
     "per_speed_squared_units",
     "per_speed_units",
     "shows_states",
+    "speeds_of_positions",
     "timing_at",
 }
 

@@ -20,6 +20,7 @@ from deepkoco.diagnose.causes.body import FORCE, LENGTH, PAYLOAD, TILT
 from deepkoco.diagnose.causes.cause import Cause, Hint, Motion, kind_of
 from deepkoco.diagnose.causes.choose import UnknownCauseError, causes_named, measured_channels, shown_causes
 from deepkoco.diagnose.causes.disturbance import COGGING, CONSTANT_LOAD, PERIODIC, SPRING
+from deepkoco.diagnose.causes.drive import ELASTIC
 from deepkoco.diagnose.causes.event import EVENT
 from deepkoco.diagnose.causes.friction import BRISTLE, COULOMB, LOAD_FRICTION, QUADRATIC, STRIBECK, VISCOUS
 from deepkoco.diagnose.causes.parameter import CHANGED, SCALED, changed_causes, changed_parameter, is_changed
@@ -87,6 +88,7 @@ CAUSES: dict[str, Cause] = {
         SENSOR_SCALE,
         SENSOR_DRIFT,
         LOW_PASS,
+        ELASTIC,
         GEAR_PLAY,
         NOISE_LEVEL,
         QUANTISATION,

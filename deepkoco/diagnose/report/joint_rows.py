@@ -85,7 +85,7 @@ def level(error: float, noise: float) -> str:
 def joint_rows(diagnosis: Diagnosis) -> list[JointRow]:
     """Return a row for each joint of a robot with several joints; none for other systems."""
     details = diagnosis.details
-    if details is None or details.system.joints < 2:
+    if details is None or details.system.own_joints < 2:
         return []
     rows = []
     for e in joint_errors(diagnosis, details):

@@ -146,7 +146,7 @@ def _tiles(diagnosis: Diagnosis) -> list[dict[str, str]]:
         tiles.append({"value": f"{100 * gain.reduction:.0f} %", "text": text})
     if gain is not None:
         c = gain.channels[0]
-        if diagnosis.model.joints > 1:
+        if diagnosis.model.own_joints > 1:
             # The joint that the simulation as given gets most wrong.
             sd = noise_by_channel(gain, diagnosis.model)
             c = max(gain.channels, key=lambda channel: channel.baseline / sd[channel.name])

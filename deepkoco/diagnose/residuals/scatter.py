@@ -89,7 +89,7 @@ def noise_level(view: Scatter, channel: int) -> Verdict | None:
         return None
     # If the channel has a wrong unit, its noise has the same wrong unit.
     slip = view.fit.values.get(f"channel_slip({view.system.measurements[channel].name}).factor", 1.0)
-    factor = found.sd / (declared * abs(slip) * math.sqrt(view.floor))
+    factor = found.sensor_sd / (declared * abs(slip) * math.sqrt(view.floor))
     if factor <= 1.0 or _grid(view, channel) > declared * abs(slip):
         return None
     spread = math.hypot(SPEC, found.relative_sd)

@@ -6,6 +6,7 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
+from pathlib import Path
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from deepkoco.diagnose.probability.answer import Answer
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import FitProblem
 from deepkoco.systems import ExtendedSystem, System
+from deepkoco.systems.origins import origin_of, stored_origin
 
 SECONDS = 10.0  # length of the experiments that are compared
 SEQUENCES_PER_FAMILY = 6
@@ -202,7 +204,7 @@ def _sentence(
             ratio = float(max(TRAINED * r[pick][off].min() for r in kept))
             best, family = (ratio, found.family) if ratio > best else (best, family)
     seconds = stage.frame.seconds
-    command = ["deepkoco", "design-experiment", *_origin(system), "--distinguish", *names]
+    command = ["deepkoco", "design-experiment", *naming(system), "--distinguish", *names]
     command += ["--recording", *logs] if logs else []
     text = f"To distinguish {_listed(names)}: "
     if best >= SETTLED:
@@ -222,10 +224,13 @@ def _sentence(
     return f"{text} This command computes the best sequence: {shlex.join(command)}"
 
 
-def _origin(system: System) -> list[str]:
+def naming(system: System) -> list[str]:
+    """Return the arguments with which a command gets this system, as files are called from the current folder."""
     if isinstance(system, ExtendedSystem):
         return ["--model", str(system.source or "model.yaml")]
-    return ["--system", system.name]
+    # Of a robot that is not the package's, the command line takes the file and not the name.
+    origin = origin_of(system)
+    return ["--system", system.name if origin is None else stored_origin(origin, Path.cwd())]
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -11,6 +11,7 @@ from deepkoco.diagnose.causes import Cause, is_changed
 from deepkoco.diagnose.diagnosis import Finding, Verdict
 from deepkoco.diagnose.evidence.classes import width
 from deepkoco.diagnose.evidence.how_probable import how_probable
+from deepkoco.diagnose.evidence.proportion import in_proportion
 from deepkoco.diagnose.evidence.residual_model import ResidualModel, learn_residual, load_may_win
 from deepkoco.diagnose.evidence.sanity_checks import (
     doubts_of_bending,
@@ -134,6 +135,12 @@ def judge(request: DiagnosisRequest, explanation: Explanation) -> Judgement:
             doubts = (*doubts, *doubts_of_names(found.accepted, found.lost))
         else:
             learned = None
+    if verdict in ("cause", "ambiguous") and request.limit.allows("values beside a model error"):
+        shown = in_proportion(found.acting, base.start, found.accepted, final)
+        if shown is not final:
+            # The verdict stands; these are the values that are reported, and the gain is theirs.
+            explanation = replace(explanation, found=replace(found, final=shown))
+            final, gain, left = shown, None, dispersion(shown, base.train)
     named, coloured = (), None
     if verdict in ("cause", "ambiguous"):
         if found.accepted and request.limit.allows("estimates under correlated errors"):

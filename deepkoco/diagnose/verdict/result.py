@@ -309,7 +309,7 @@ def _written(explanation: Explanation, judgement: Judgement) -> dict[str, Estima
     own = estimates(
         base.problem, fit, base.reference.free, judgement.left.deflation, scale_variance(base.start, fit)
     )
-    if judgement.final is found.final:
+    if judgement.final is not base.reference:
         wide = over_classes(own, found.acting, found.accepted, found.steps)
         own = over_colour(wide, own, found.acting, judgement.coloured)
     if not _kept_as_given(judgement):

@@ -17,10 +17,32 @@ CLIP = 9.0  # squared sum of a difference in its standard deviations at which it
 
 
 class Noise(NamedTuple):
-    """Standard deviation of a channel's noise in the channel's unit, and relative standard error of it."""
+    """Noise of a channel, in the channel's unit.
+
+    Attributes:
+        sd: Standard deviation.
+        relative_sd: Relative standard error of it.
+        simulated_sd: The part of ``sd`` that is no noise of the sensor: what a simulation cannot follow, because its
+            commands were rounded or its steps are finite.
+    """
 
     sd: float
     relative_sd: float
+    simulated_sd: float = 0.0
+
+    @property
+    def sensor_sd(self) -> float:
+        """Standard deviation of the noise of the sensor alone."""
+        return math.sqrt(max(self.sd**2 - self.simulated_sd**2, 0.0))
+
+    def times(self, factor: float) -> Noise:
+        """Noise that is larger by a factor in all its parts."""
+        return self._replace(sd=factor * self.sd, simulated_sd=factor * self.simulated_sd)
+
+    def with_simulated(self, variance: float) -> Noise:
+        """Add a variance that is no noise of the sensor."""
+        sd = math.sqrt(self.sd**2 + variance)
+        return self._replace(sd=sd, simulated_sd=math.sqrt(self.simulated_sd**2 + variance))
 
 
 def estimate_noise(t: np.ndarray, value: np.ndarray, fallback: float) -> Noise:

@@ -89,5 +89,5 @@ def _no_finer_than_a_simulation(windows: Windows, noise: Sequence[Noise]) -> tup
         high = np.where(valid, value, -np.inf).max(-1, initial=-np.inf)[shown]
         low = np.where(valid, value, np.inf).min(-1, initial=np.inf)[shown]
         way = float(np.median(high - low)) if shown.any() else 0.0
-        result.append(given._replace(sd=max(given.sd, FIDELITY * way)))
+        result.append(given.with_simulated(max((FIDELITY * way) ** 2 - given.sd**2, 0.0)))
     return tuple(result)

@@ -7,7 +7,6 @@ shows, whatever the parameters are.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -69,7 +68,7 @@ def with_rounded_commands(problem_of: Callable[[Windows], FitProblem], windows: 
     variance = np.mean(draws, axis=0) + CHANCE * np.std(draws, axis=0, ddof=1)
     left = (fit.residual * windows.sample_sd).square().sum((0, 2)) / valid.sum((0, 2)).clamp(min=1)
     noise = tuple(
-        n._replace(sd=math.sqrt(n.sd**2 + max(min(v, most - n.sd**2), 0.0)))
+        n.with_simulated(max(min(v, most - n.sd**2), 0.0))
         for n, v, most in zip(windows.noise, variance.tolist(), left.tolist(), strict=True)
     )
     return replace(windows, noise=noise)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ from deepkoco.logs.checks.derivative import Relation, relate, slip
 from deepkoco.logs.formats.log_file import LogError
 from deepkoco.logs.series import Series
 from deepkoco.logs.sidecar import ChannelColumn
+from deepkoco.logs.units import parse_unit
 
 RATIO = 2.0  # above this ratio of an angle's changes to its integrated speed, a unit is wrong
 AGREES = 0.6  # agreement above which the ratio is significant
@@ -67,9 +68,18 @@ def check_content(
 
 
 def check_units(
-    path: Path, channels: Mapping[str, Series], columns: Mapping[str, ChannelColumn]
+    path: Path,
+    channels: Mapping[str, Series],
+    columns: Mapping[str, ChannelColumn],
+    pairs: Sequence[tuple[str, str]] | None = None,
 ) -> list[str]:
     """Compare each position with its integrated speed, and the range of each angle with `TURNS`.
+
+    Args:
+        path: the log.
+        channels: its channels.
+        columns: where they come from.
+        pairs: positions with their speeds; None finds them by units and names.
 
     Returns:
         Warnings about possible mistakes.
@@ -78,7 +88,7 @@ def check_units(
         LogError: two channels contradict each other, or a range is implausible: a unit, a scale or a mapping is wrong.
     """
     doubts = []
-    for first, second in derivative_pairs(channels):
+    for first, second in derivative_pairs(channels) if pairs is None else pairs:
         if columns[first].checked or columns[second].checked:
             continue
         a, b = channels[first], channels[second]
@@ -89,7 +99,7 @@ def check_units(
             doubts.append(doubt)
     for name, series in channels.items():
         span = float(np.ptp(np.unwrap(series.value))) if series.unit == "rad" else 0.0
-        if columns[name].checked or series.kind != "measurement":
+        if columns[name].checked or series.kind != "measurement" or _in_degrees(columns[name]):
             continue
         # Unwrapping takes the steps of a wrong scale for turns. A few glitches do not make an angle implausible.
         bulk = float(np.ptp(np.quantile(series.value, [0.02, 0.98]))) if series.unit == "rad" else 0.0
@@ -100,6 +110,12 @@ def check_units(
                 'if it is right, write "checked: true" there'
             )
     return doubts
+
+
+def _in_degrees(column: ChannelColumn) -> bool:
+    """Whether an angle is declared in degrees or less. No usual unit is smaller, so a long range is that of a motor."""
+    unit = parse_unit(column.value.unit)
+    return unit.quantity == "angle" and unit.factor <= parse_unit("deg").factor
 
 
 def derivative_pairs(channels: Mapping[str, Series]) -> list[tuple[str, str]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -52,7 +52,7 @@ class Frozen:
         )
 
 
-def frozen_stretches(channels: Mapping[str, Series], pairs: list[tuple[str, str]]) -> list[Frozen]:
+def frozen_stretches(channels: Mapping[str, Series], pairs: Sequence[tuple[str, str]]) -> list[Frozen]:
     """Find the frozen stretches of the measurements.
 
     A sensor with coarse steps also repeats values at rest, and a joint can start quickly. A stretch is therefore frozen

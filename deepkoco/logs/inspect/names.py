@@ -10,7 +10,7 @@ from deepkoco.logs.units import UnitError, known_units, parse_unit
 # Evidence of a word for a quantity [nats].
 WORDS: dict[str, dict[str, float]] = {
     "angle": {
-        **dict.fromkeys(("theta", "angle", "jpos", "qpos"), 3.0),
+        **dict.fromkeys(("theta", "angle", "jpos", "qpos", "winkel"), 3.0),
         **dict.fromkeys(("pos", "position", "q", "phi", "alpha", "encoder", "enc", "th", "positions"), 2.0),
         **dict.fromkeys(("beta", "psi", "pitch", "roll", "yaw", "joint", "rot", "rotation"), 1.0),
         **dict.fromkeys(("gamma", "delta", "tilt", "lean", "heading"), 1.0),
@@ -20,30 +20,31 @@ WORDS: dict[str, dict[str, float]] = {
             ("omega", "vel", "velocity", "speed", "dq", "qdot", "qvel", "jvel", "velocities"), 3.0
         ),
         **dict.fromkeys(("dtheta", "thetadot", "angvel", "qd", "gyro", "dphi", "dalpha", "dpos"), 3.0),
+        **dict.fromkeys(("drehzahl", "winkelgeschwindigkeit"), 3.0),
         **dict.fromkeys(("rate", "w", "spd"), 1.0),
     },
     "angular acceleration": dict.fromkeys(("acc", "accel", "acceleration", "ddq", "qdd", "ddtheta"), 3.0),
     "torque": {
-        **dict.fromkeys(("torque", "tau", "trq"), 3.0),
+        **dict.fromkeys(("torque", "tau", "trq", "drehmoment"), 3.0),
         **dict.fromkeys(("effort", "moment", "tq", "efforts"), 2.0),
         **dict.fromkeys(("u", "input", "command", "cmd", "action", "control", "data", "t", "m"), 1.0),
     },
     "voltage": {
-        **dict.fromkeys(("voltage", "volt", "volts"), 3.0),
+        **dict.fromkeys(("voltage", "volt", "volts", "spannung"), 3.0),
         **dict.fromkeys(("u", "input", "command", "cmd", "action", "control", "pwm", "data"), 1.0),
         "v": 0.5,
     },
-    "current": {**dict.fromkeys(("current", "curr", "amps"), 3.0), "i": 1.0},
+    "current": {**dict.fromkeys(("current", "curr", "amps", "strom"), 3.0), "i": 1.0},
     "force": {
-        **dict.fromkeys(("force", "thrust"), 3.0),
+        **dict.fromkeys(("force", "thrust", "kraft"), 3.0),
         **dict.fromkeys(("u", "input", "command", "cmd", "f"), 1.0),
     },
     "ratio": {
         **dict.fromkeys(("throttle", "duty", "pwm", "dutycycle"), 3.0),
         **dict.fromkeys(("u", "input", "command", "cmd", "action", "control", "data"), 1.0),
     },
-    "length": dict.fromkeys(("x", "y", "z", "height", "altitude", "pos", "position"), 2.0),
-    "velocity": dict.fromkeys(("vx", "vy", "vz", "vel", "velocity", "speed"), 2.0),
+    "length": dict.fromkeys(("x", "y", "z", "height", "altitude", "pos", "position", "weg", "hub"), 2.0),
+    "velocity": dict.fromkeys(("vx", "vy", "vz", "vel", "velocity", "speed", "geschwindigkeit"), 2.0),
     "time": {
         **dict.fromkeys(("time", "timestamp", "stamp", "t", "ts", "datetime", "date", "zeit"), 3.0),
         **dict.fromkeys(
@@ -75,13 +76,17 @@ WANTED = (
     "target",
     "goal",
     "setpoint",
+    "soll",
+    "sollwert",
     "sp",
     "feedforward",
     "ff",
     "error",
     "err",
 )
-MEASURED = ("meas", "measured", "act", "actual", "fb", "feedback", "est", "state", "states", "filt")
+MEASURED = (
+    "meas", "measured", "act", "actual", "fb", "feedback", "est", "state", "states", "filt", "ist", "istwert",
+)  # fmt: skip
 COUNTING = ("episode", "seq", "index", "frame", "row", "step", "run", "trial", "unnamed", "iteration")
 # Units at the end of a name.
 SUFFIXES = {

@@ -17,6 +17,7 @@ from deepkoco.systems.effects.asymmetric_friction import ASYMMETRIC_VISCOUS
 from deepkoco.systems.effects.body import FORCE, LENGTH, PAYLOAD, TILT
 from deepkoco.systems.effects.disturbance import COGGING, CONSTANT_LOAD, PERIODIC, SPRING
 from deepkoco.systems.effects.effect import Effect, PlacedEffect, SensorSite, place
+from deepkoco.systems.effects.elastic import ELASTIC
 from deepkoco.systems.effects.friction import COULOMB, LOAD_FRICTION, QUADRATIC, STRIBECK, VISCOUS
 from deepkoco.systems.effects.hysteresis import BRISTLE, GEAR_PLAY
 from deepkoco.systems.effects.learned import LEARNED
@@ -73,6 +74,7 @@ EFFECTS: dict[str, Effect] = {
         LENGTH,
         TILT,
         FORCE,
+        ELASTIC,
         GEAR_PLAY,
         SCALED,
         SENSOR_SCALE,

@@ -14,7 +14,7 @@ from deepkoco.systems.named_joints import COMMON
 from deepkoco.systems.parameter import Parameter, Parameters
 from deepkoco.systems.system import System
 
-Place = Literal["command", "series", "timing", "load", "memory", "body", "sensor", "noise"]
+Place = Literal["command", "series", "timing", "load", "memory", "body", "elastic", "sensor", "noise"]
 Site = Literal["system", "joint", "command", "channel", "kind", "place", "force place", "pair"]
 
 ALL = -1  # index of an effect that acts on all driving commands alike
@@ -63,6 +63,7 @@ class Effect:
             - ``memory``: ``apply(joint: JointState, value, p) -> load``: a load that depends on what the effect
               remembers of the way of the joint, see :class:`Memory`; it acts along a log only;
             - ``body``: ``apply(system, joint, parameters, p) -> parameters``;
+            - ``elastic``: no ``apply``; an :class:`ElasticDrive` has its equations and the states that it adds;
             - ``sensor``: ``apply(measurement (..., N), site: SensorSite, p) -> measurement``;
             - ``timing``: no ``apply``; the simulator carries it out;
             - ``noise``: no ``apply``; it changes what is random, not what is expected.
@@ -166,7 +167,7 @@ def place(effect: Effect, system: System) -> tuple[PlacedEffect, ...]:
     elif effect.site == "channel":
         names = [f"{effect.name}({c.name})" for c in system.measurements]
     else:
-        at, sites = system.at_joint, system.joints
+        at, sites = system.at_joint, system.own_joints
         if effect.site == "command":
             at, sites = system.at_command, len(system.command_joints)
         names = [at(effect.name, k) for k in range(sites)]

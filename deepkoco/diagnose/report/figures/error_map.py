@@ -43,7 +43,7 @@ def error_map(diagnosis: Diagnosis, details: Details, layout: Layout) -> Picture
         mesh = axis.pcolormesh(across, up, mean.T, norm=scale, cmap="viridis", rasterized=True)
         axis.set_title(LABELS[name])
         axis.grid(visible=False)
-    of_joint = f" of {system.joint_names[joint]}" if system.joints > 1 else ""
+    of_joint = f" of {system.joint_names[joint]}" if system.own_joints > 1 else ""
     for axis in axes[-1]:
         what = f"angle{of_joint}, one turn" if turning else f"position{of_joint}"
         axis.set_xlabel(f"{what} [{system.state_units[joint]}]")

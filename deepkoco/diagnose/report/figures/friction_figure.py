@@ -42,7 +42,7 @@ def friction_picture(diagnosis: Diagnosis, details: Details, layout: Layout) -> 
             f"{short}_high": curve.high,
         }
     unit = details.system.state_units[details.system.joints + joint]
-    of_joint = f" of {details.system.joint_names[joint]}" if details.system.joints > 1 else ""
+    of_joint = f" of {details.system.joint_names[joint]}" if details.system.own_joints > 1 else ""
     axis.set_xlabel(f"speed{of_joint} [{unit}]")
     axis.set_ylabel(f"friction [{details.missing[joint].unit}]")
     figure.legend(loc="outside upper center", ncols=min(2, layout.entries))

@@ -23,7 +23,7 @@ CLOSEST = 0.16  # of labels, as a share of the picture's height
 def joints_picture(diagnosis: Diagnosis, details: Details, layout: Layout) -> Picture | None:
     """Draw the robot with its joints coloured by their error, and the errors as bars; None for one joint."""
     system = details.system
-    errors = joint_errors(diagnosis, details) if system.joints > 1 else []
+    errors = joint_errors(diagnosis, details) if system.own_joints > 1 else []
     if not errors:
         return None
     base = system.base if isinstance(system, ExtendedSystem) else system

@@ -21,7 +21,7 @@ def missing_picture(diagnosis: Diagnosis, details: Details, layout: Layout) -> P
     missing = details.missing[joint_shown(details)]
     system = details.system
     motion = motion_of(details.windows, missing, system)
-    of_joint = f", {missing.name}" if system.joints > 1 else ""
+    of_joint = f", {missing.name}" if system.own_joints > 1 else ""
     position, speed = system.state_units[missing.joint], system.state_units[system.joints + missing.joint]
     turning = position == "rad"
     load = missing.load

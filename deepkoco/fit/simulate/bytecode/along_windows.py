@@ -23,7 +23,7 @@ TIMES = (0.0, 1.3, 47.0)  # log times of the windows in which they are [s]
 BROAD = 1e3  # largest command there
 SAME = 1e-9  # relative difference up to which both are the same
 
-PLACES = ("body", "load", "memory")  # of effects that are part of the equations of motion
+PLACES = ("body", "load", "memory", "elastic")  # of effects that are part of the equations of motion
 Key = tuple[tuple[str, ...], tuple[str, ...], float, bool]
 _programs: WeakKeyDictionary[System, dict[Key, Program | None]] = WeakKeyDictionary()
 _parts: WeakKeyDictionary[System, dict[tuple[str, ...], ExtendedSystem]] = WeakKeyDictionary()

@@ -169,7 +169,7 @@ KINDS: dict[str, Kind] = {
         Kind(
             "elastic",
             lambda s, p, r: {"frequency": 2.0 / s, "ratio": 0.05},
-            ("gear_play({j})", "backlash({j})", "changed(armature({j}))"),
+            ("elastic({j})", "gear_play({j})", "backlash({j})", "changed(armature({j}))"),
             inside=False,
             needs=DRIVEN,
             robots=HINGED,

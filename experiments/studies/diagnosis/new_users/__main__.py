@@ -1,0 +1,134 @@
+"""Study: diagnose logs of robots that a new user describes, from the command line alone.
+
+python -m experiments.studies.diagnosis.new_users --out OUT [--cases cart_healthy motor_elastic] [--seed 0]
+
+Each case is a log of a unit that is simulated with scipy, in the units and words of a workshop. `deepkoco inspect`
+writes its sidecar, which is used as it is, and `deepkoco diagnose` answers, each in a process of its own. Rows are kept
+in OUT/cases.csv; a case that has a row is not run again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import io
+import json
+import os
+import resource
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from deepkoco.output.whole_file import write_whole_text
+from experiments.studies.diagnosis.new_users.cases import CASES, SYSTEM, Case
+from experiments.studies.diagnosis.new_users.logs import write_case
+
+ROBOTS = Path(__file__).parent / "robots"
+COLUMNS = ("case", "right", "verdict", "causes", "class", "value", "truth", "moved", "cpu_s", "note")
+LIMIT = 1800.0  # seconds after which a case is given up
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run what is missing, and print the rows."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--out", type=Path, required=True, help="folder of the results")
+    parser.add_argument("--cases", nargs="+", choices=list(CASES), default=list(CASES), metavar="CASE")
+    parser.add_argument("--seed", type=int, default=0, help="of units, commands and noise (default 0)")
+    args = parser.parse_args(arguments)
+    args.out.mkdir(parents=True, exist_ok=True)
+    table = args.out / "cases.csv"
+    rows = _known(table)
+    for name in args.cases:
+        if any(row["case"] == name for row in rows):
+            continue
+        folder = args.out / "logs" / name
+        folder.mkdir(parents=True, exist_ok=True)
+        rows.append(run_case(name, write_case(name, folder, args.seed), args.out / "reports" / name))
+        _write(table, rows)
+        sys.stdout.write(" ".join(f"{key}={rows[-1][key]}" for key in COLUMNS) + "\n")
+        sys.stdout.flush()
+    right = sum(int(row["right"]) for row in rows)
+    sys.stdout.write(f"{right} of {len(rows)} right\n")
+    return 0
+
+
+def run_case(name: str, log: Path, report: Path) -> dict[str, Any]:
+    """Inspect and diagnose one log as a user would, and compare the answer with what is hidden.
+
+    Args:
+        name: Name of the case.
+        log: Its log; healthy logs lie beside it.
+        report: Folder that the report goes to.
+    """
+    case, began = CASES[name], _children()
+    robot, _, kind = (case.system or SYSTEM[case.robot]).partition(":")
+    system = f"{ROBOTS / robot}{':' if kind else ''}{kind}"
+    # One sidecar for all logs of the folder.
+    sidecar = log.parent.with_suffix(".yaml")
+    sidecar.unlink(missing_ok=True)
+    said = _called("inspect", log.parent, "--system", system, "--out", sidecar)
+    healthy = sorted(log.parent.glob("healthy*.csv"))
+    report.parent.mkdir(exist_ok=True)
+    command = [log, "--system", system, *(["--healthy", *healthy] if healthy else [])]
+    done = _called("diagnose", *command, "--out", report, "--json")
+    answer = json.loads(done.stdout) if done.returncode in (0, 3) else None
+    note = "" if answer is not None else (done.stderr or said.stderr).strip()[-200:]
+    row = {"case": name, "truth": "" if case.truth is None else case.truth, "note": note}
+    return row | judged(case, answer) | {"cpu_s": round(_children() - began, 1)}
+
+
+def judged(case: Case, answer: dict[str, Any] | None) -> dict[str, Any]:
+    """Compare an answer (report.json; None where there is none) with what is hidden.
+
+    It is right if the class of the first cause has the effect, and no further cause is named.
+    """
+    verdict = "none" if answer is None else answer["verdict"]
+    causes = [] if answer is None or verdict == "unknown" else answer["causes"]
+    members = causes[0]["class"] if causes else []
+    hits = any(m in case.right or m.split("(")[0] in case.right for m in members)
+    nothing = verdict == "nothing" and (not case.right or "nothing" in case.right)
+    value = next(iter(causes[0]["parameters"].values()), None) if causes else None
+    moved = [] if answer is None else answer.get("fit", {}).get("moved", [])
+    return {
+        "right": int(nothing or (hits and len(causes) == 1)),
+        "verdict": verdict,
+        "causes": ";".join(c["name"] for c in causes),
+        "class": ";".join(members),
+        "value": "" if value is None else f"{value['value']:.4g} [{value['low']:.4g}, {value['high']:.4g}]",
+        "moved": ";".join(f"{m['name']}={m['value']:.4g}" for m in moved),
+    }
+
+
+def _called(command: str, *arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    whole = [sys.executable, "-m", "deepkoco.cli", command, *map(str, arguments)]
+    return subprocess.run(
+        whole, capture_output=True, text=True, timeout=LIMIT, check=False, env=dict(os.environ)
+    )
+
+
+def _children() -> float:
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def _known(table: Path) -> list[dict[str, Any]]:
+    if not table.exists():
+        return []
+    with table.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def _write(table: Path, rows: Sequence[dict[str, Any]]) -> None:
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list[str](COLUMNS), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_whole_text(table, text.getvalue())
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
