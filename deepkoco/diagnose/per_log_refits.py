@@ -79,7 +79,6 @@ def run_to_run(healthy: Healthy, prior: Prior) -> RunToRun | None:
         told,
         between,
         int(long.sum()) - 1,
-        np.diag(prior.covariance),
         alone.floor,
         alone.correlation,
         alone.lag_one,

@@ -20,7 +20,7 @@ from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.solve.scaled_inverse import symmetric_inverse
 from deepkoco.systems import System
 
-# Run-to-run standard deviation that few logs may leave open, over the declared one: a few per cent of a gain. Each
+# Run-to-run standard deviation that a single log leaves open, over the declared one: a few per cent of a gain. Each
 # parameter is doubted by itself, so its products with others, which the logs know better, become uncertain as well.
 USUAL = 0.1
 LEFT_OPEN = (
@@ -49,7 +49,6 @@ class RunToRun:
         covariance: (K, K) diagonal run-to-run covariance. A common cause that moves several parameters together is
             spread over them and therefore underestimated.
         degrees: Degrees of freedom of this estimate.
-        declared: (K,) declared variance of the parameters, before any log.
         floor: chi2 per sample that remains in the logs.
         correlation: Samples per independent sample of the residuals.
         lag_one: Correlation of neighbouring residuals.
@@ -64,7 +63,6 @@ class RunToRun:
     log_information: dict[int, LogInformation]
     covariance: np.ndarray
     degrees: int
-    declared: np.ndarray
     floor: float
     correlation: float
     lag_one: float
@@ -114,13 +112,14 @@ class RunToRun:
     def doubted(self) -> np.ndarray:
         """(K, K) diagonal run-to-run covariance, inflated because few logs estimate it poorly.
 
-        The standard deviation is multiplied by the ratio of Student's t to the normal quantile, but it is not made
-        larger than ``USUAL`` of the declared one. The declared one says how well a data sheet knows a unit; one unit
-        differs less from itself from day to day. A sample variance above that is used without inflation.
+        The variance is the median of its posterior under a half-Cauchy prior of the standard deviation
+        (:func:`.variances_between`). With n degrees of freedom and the squares S, that is S / (n + 1/3), and a further
+        log follows Student's t with n + 1 degrees and the squared scale S / (n + 1). The result is the variance of
+        the normal distribution with the same 95 % interval.
         """
-        sure = scipy.stats.t.ppf(0.975, self.degrees) / scipy.stats.norm.ppf(0.975)
-        shown = np.diag(self.covariance)
-        return np.diag(np.minimum(sure**2 * shown, np.maximum(shown, USUAL**2 * self.declared)))
+        degrees = self.degrees + 1
+        sure = scipy.stats.t.ppf(0.975, degrees) / scipy.stats.norm.ppf(0.975)
+        return np.diag(sure**2 * (1.0 - 2.0 / (3.0 * degrees)) * np.diag(self.covariance))
 
 
 def unshown(

@@ -47,7 +47,7 @@ def test_logs_at_different_places_of_a_curved_valley_leave_it_open(seed):
     for log in range(3):
         a = 1.0 + 0.02 * rng.normal()  # each refit stops somewhere along the valley
         told[log] = log_information(told_of_product((a, 1.0 / a), prior), prior, 1.0, shared)
-    runs = RunToRun(told, 1e-8 * np.eye(2), 2, 0.09 * np.ones(2), 1.0, 1.0, 0.0)
+    runs = RunToRun(told, 1e-8 * np.eye(2), 2, 1.0, 1.0, 0.0)
     found = runs.of_another(prior)
     assert found.centre.sum() == pytest.approx(2.0, abs=0.005)  # the tangent at (1, 1)
     along = np.array([1.0, -1.0]) / np.sqrt(2.0)
@@ -60,8 +60,8 @@ def test_of_another_is_centred_on_the_mean_that_a_fit_of_all_logs_found():
         k: LogInformation(100.0 * np.eye(2), 100.0 * np.array([x, 0.0]))
         for k, x in enumerate((1.0, 2.0, 3.0))
     }
-    plain = RunToRun(told, 1e-6 * np.eye(2), 2, np.ones(2), 1.0, 1.0, 0.0)
-    fitted = RunToRun(told, 1e-6 * np.eye(2), 2, np.ones(2), 1.0, 1.0, 0.0, mean=np.array([5.0, 7.0]))
+    plain = RunToRun(told, 1e-6 * np.eye(2), 2, 1.0, 1.0, 0.0)
+    fitted = RunToRun(told, 1e-6 * np.eye(2), 2, 1.0, 1.0, 0.0, mean=np.array([5.0, 7.0]))
     np.testing.assert_allclose(fitted.of_another(prior).centre, [5.0, 7.0])
     np.testing.assert_allclose(fitted.of_another(prior).covariance, plain.of_another(prior).covariance)
     # Without a log, the mean moves by as much as without a fit.
@@ -137,7 +137,7 @@ def test_a_single_healthy_log_leaves_open_what_few_logs_cannot_show():
 def test_logs_that_agree_leave_the_usual_variation_open():
     prior = Prior(NAMES, np.zeros(2), np.eye(2))
     told = {k: LogInformation(1e6 * np.eye(2), np.zeros(2)) for k in range(3)}
-    runs = RunToRun(told, np.diag([0.0, 0.04]), 2, np.ones(2), 1.0, 1.0, 0.0, least=np.array([1e-4, 1e-4]))
+    runs = RunToRun(told, np.diag([0.0, 0.04]), 2, 1.0, 1.0, 0.0, least=np.array([1e-4, 1e-4]))
     found = np.sqrt(np.diag(runs.of_another(prior).covariance))
     assert found[0] == pytest.approx(0.01, rel=0.01)
     assert found[1] >= 0.2  # what the logs show is more
