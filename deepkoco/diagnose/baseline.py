@@ -329,10 +329,8 @@ def prior_of_mean(start: Baseline) -> tuple[Baseline, dict[str, float]]:
         start: Baseline learned from several healthy logs; its prior is that of one further log.
     """
     assert start.healthy is not None
-    assert start.runs is not None
     prior, varies = start.prior, start.healthy.windows.varies
-    apart = np.diag(start.runs.doubted)
-    shared = np.array([v if n in varies else 0.0 for n, v in zip(prior.names, apart, strict=True)])
+    shared = np.array([varies.get(n, 0.0) ** 2 for n in prior.names])
     mean = replace(prior, covariance=prior.covariance - np.diag(shared))
     return replace(start, prior=mean), dict(varies)
 

@@ -234,7 +234,8 @@ def with_spread(healthy: Healthy) -> tuple[Healthy, RunToRun | None]:
     if runs is None:
         return healthy, None
     may = may_differ(before.system)
-    variance = dict(zip(prior.names, np.diag(runs.doubted).tolist(), strict=True))
+    # That of these logs. What is doubted of it is for a further log; here it would be freedom to take up model error.
+    variance = dict(zip(prior.names, np.diag(runs.covariance).tolist(), strict=True))
     varies = {
         n: math.sqrt(v) for n, v in variance.items() if n in may and n in before.prior.names and v > 0.0
     }

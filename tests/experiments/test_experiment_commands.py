@@ -45,7 +45,7 @@ def test_a_run_leaves_settings_metrics_events_checkpoint_and_model(run):
     names = {path.name for path in run.iterdir()}
     assert names == {
         *("config.yaml", "metrics.csv", "eigenvalues.csv", "tensorboard", "checkpoint.pt", "replay", "model"),
-        *("references.csv", "references.json", "references.png"),
+        *("references.csv", "references.json", "references.png", "before_end.pt"),
     }
     stored = yaml.safe_load((run / "config.yaml").read_text())
     assert stored["seed"] == 3

@@ -9,7 +9,7 @@ import numpy as np
 
 from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause, is_changed
-from deepkoco.diagnose.evidence.priors import prior_with
+from deepkoco.diagnose.evidence.around import around, trial_at
 from deepkoco.diagnose.evidence.ranking import Candidate, Ranking, penalty, with_better_fit
 from deepkoco.diagnose.evidence.selection import PATIENCE
 from deepkoco.diagnose.residuals.residuals import SLOTS
@@ -19,7 +19,6 @@ from deepkoco.fit.solve.dispersion import dispersion
 
 NEARLY = 12.0  # BIC difference, with errors taken as independent, up to which a member can lead in the winner's place
 CLEARLY = 6.0  # fall of the BIC under coloured errors from which another member leads ("strong evidence")
-AROUND = 6  # further starts of a fit under correlated errors
 SLOW = 2.0  # samples per independent sample from which errors are correlated
 
 
@@ -72,7 +71,7 @@ def leader_under_colour(
         return None
     # Only minima are compared: the starts are minima under independent errors, and one may be nearer than another.
     found = [
-        _minima(coloured, _trial(problem, start, accepted, c), c.fit, ranking.deflation) for c in everyone
+        _minima(coloured, trial_at(problem, start, accepted, c), c.fit, ranking.deflation) for c in everyone
     ]
     if not found[0]:
         return None
@@ -91,27 +90,11 @@ def leader_under_colour(
     scatter = max(float(np.median([fit.cost for fit in minima[k]])) - fits[k].cost for k in (0, first))
     leads = first if scores[first] > scores[0] + CLEARLY + scatter / spread.deflation else 0
     leader, there = everyone[leads], fits[leads]
-    again = _trial(problem, start, accepted, replace(leader, fit=there))
+    again = trial_at(problem, start, accepted, replace(leader, fit=there))
     return with_better_fit(leader, problem.fit([again], PATIENCE)[0], ranking.deflation)
 
 
 def _minima(coloured: ColouredProblem, trial: Trial, fit: Fit, deflation: float) -> list[Fit]:
     """Fits under correlated errors from a start, and from starts as far off as its estimates are uncertain."""
-    rng = np.random.default_rng(0)
-    spread = np.sqrt(np.maximum(fit.covariance.diagonal(), 0.0) * deflation)
-    trials = [trial]
-    columns = [coloured.names.index(n) for n in fit.free]
-    low, high = coloured.low[columns], coloured.high[columns]
-    at = np.array([trial.values[n] for n in fit.free])
-    for _ in range(AROUND):
-        moved = np.clip(at + spread * rng.standard_normal(len(at)), low, high)
-        trials.append(
-            replace(trial, values={**trial.values, **dict(zip(fit.free, moved.tolist(), strict=True))})
-        )
+    trials = around(coloured, trial, fit, deflation)
     return [found for found in coloured.fit(trials, PATIENCE) if not found.diverged]
-
-
-def _trial(problem: FitProblem, start: Baseline, accepted: Sequence[Cause], candidate: Candidate) -> Trial:
-    fit = candidate.fit
-    prior = prior_with(problem, start, [*accepted, candidate.cause], fit.values)
-    return Trial(candidate.cause.name, prior.names, prior, fit.values, fit.state, fit.nuisance)

@@ -10,6 +10,7 @@ import numpy as np
 from deepkoco.diagnose.causes import Cause, catalogue
 from deepkoco.diagnose.causes.timing import LOST_COMMANDS
 from deepkoco.diagnose.causes.units import LARGE_MISFIT
+from deepkoco.diagnose.evidence.around import lowest_around
 from deepkoco.diagnose.evidence.elimination import (
     BENDING,
     PUSHES,
@@ -142,8 +143,10 @@ class Selection(SelectionTask):
             self.progress(f"class of {ranking.best.cause.name}{in_company_of(names)}")
             ranking = self._refined(problem, ranking, accepted, hints)
             ranking, members = classed(problem, start, ranking, accepted, self.held)
+            best = lowest_around(problem, start, accepted, ranking.best, ranking.deflation)
+            ranking = replace(ranking, candidates=(best, *ranking.candidates[1:]))
             steps.append((ranking, members))
-            accepted.append(ranking.best.cause)
+            accepted.append(best.cause)
             final, ranking = ranking.best.fit, None
         return Selected(final, tuple(accepted), tuple(steps), problem, so_far.lost, charge, minor)
 
