@@ -10,20 +10,17 @@ in OUT/cases.csv; a case that has a row is not run again.
 from __future__ import annotations
 
 import argparse
-import csv
-import io
 import json
 import os
-import resource
 import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from deepkoco.output.whole_file import write_whole_text
 from experiments.studies.diagnosis.new_users.cases import CASES, SYSTEM, Case
 from experiments.studies.diagnosis.new_users.logs import write_case
+from experiments.studies.diagnosis.rows import children_seconds, read_rows, write_rows
 
 ROBOTS = Path(__file__).parent / "robots"
 COLUMNS = ("case", "right", "verdict", "causes", "class", "value", "truth", "moved", "cpu_s", "note")
@@ -41,14 +38,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     args = parser.parse_args(arguments)
     args.out.mkdir(parents=True, exist_ok=True)
     table = args.out / "cases.csv"
-    rows = _known(table)
+    rows = read_rows(table)
     for name in args.cases:
         if any(row["case"] == name for row in rows):
             continue
         folder = args.out / "logs" / name
         folder.mkdir(parents=True, exist_ok=True)
         rows.append(run_case(name, write_case(name, folder, args.seed), args.out / "reports" / name))
-        _write(table, rows)
+        write_rows(table, COLUMNS, rows)
         sys.stdout.write(" ".join(f"{key}={rows[-1][key]}" for key in COLUMNS) + "\n")
         sys.stdout.flush()
     right = sum(int(row["right"]) for row in rows)
@@ -64,7 +61,7 @@ def run_case(name: str, log: Path, report: Path) -> dict[str, Any]:
         log: Its log; healthy logs lie beside it.
         report: Folder that the report goes to.
     """
-    case, began = CASES[name], _children()
+    case, began = CASES[name], children_seconds()
     robot, _, kind = (case.system or SYSTEM[case.robot]).partition(":")
     system = f"{ROBOTS / robot}{':' if kind else ''}{kind}"
     # One sidecar for all logs of the folder.
@@ -78,7 +75,7 @@ def run_case(name: str, log: Path, report: Path) -> dict[str, Any]:
     answer = json.loads(done.stdout) if done.returncode in (0, 3) else None
     note = "" if answer is not None else (done.stderr or said.stderr).strip()[-200:]
     row = {"case": name, "truth": "" if case.truth is None else case.truth, "note": note}
-    return row | judged(case, answer) | {"cpu_s": round(_children() - began, 1)}
+    return row | judged(case, answer) | {"cpu_s": round(children_seconds() - began, 1)}
 
 
 def judged(case: Case, answer: dict[str, Any] | None) -> dict[str, Any]:
@@ -108,26 +105,6 @@ def _called(command: str, *arguments: str | Path) -> subprocess.CompletedProcess
     return subprocess.run(
         whole, capture_output=True, text=True, timeout=LIMIT, check=False, env=dict(os.environ)
     )
-
-
-def _children() -> float:
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
-
-
-def _known(table: Path) -> list[dict[str, Any]]:
-    if not table.exists():
-        return []
-    with table.open(newline="") as file:
-        return list(csv.DictReader(file))
-
-
-def _write(table: Path, rows: Sequence[dict[str, Any]]) -> None:
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list[str](COLUMNS), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    write_whole_text(table, text.getvalue())
 
 
 if __name__ == "__main__":

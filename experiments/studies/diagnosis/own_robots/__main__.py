@@ -10,12 +10,9 @@ begins. Hidden and healthy cases take turns, so that any beginning of the study 
 from __future__ import annotations
 
 import argparse
-import csv
-import io
 import json
 import math
 import os
-import resource
 import subprocess
 import sys
 import time
@@ -26,6 +23,7 @@ from typing import Any
 from deepkoco.output.versions import versions
 from deepkoco.output.whole_file import write_whole_text
 from experiments.studies.diagnosis.own_robots.cases import ALLOWED, Case, draw_case, joints_of, right_names
+from experiments.studies.diagnosis.rows import children_seconds, read_rows, write_rows
 
 COLUMNS = (
     "case",
@@ -66,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     args = parser.parse_args(arguments)
     (args.out / "logs").mkdir(parents=True, exist_ok=True)
     table, began = args.out / "cases.csv", time.monotonic()
-    rows = _read(table)
+    rows = read_rows(table)
     done = {int(row["case"][:2]) for row in rows}
     for index, healthy in enumerate(order(args.hidden, args.healthy)):
         if index in done or time.monotonic() - began > 60.0 * args.most:
@@ -77,7 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         row = run_case(case, args.out, args.seconds, args.limit)
         rows.append(row)
         rows.sort(key=lambda row: row["case"])
-        _write(table, rows)
+        write_rows(table, COLUMNS, rows)
         write_whole_text(args.out / "summary.json", json.dumps(summary(rows, args), indent=1) + "\n")
         sys.stdout.write(" ".join(str(row[c]) for c in COLUMNS[:14]) + "\n")
         sys.stdout.flush()
@@ -105,7 +103,7 @@ def run_case(case: Case, out: Path, seconds: float, limit: float) -> dict[str, A
     ]
     command += ["--json", "--out", str(out / "reports" / case.name)]
     (out / "reports").mkdir(exist_ok=True)
-    spent, began = _children(), time.monotonic()
+    spent, began = children_seconds(), time.monotonic()
     try:
         done = subprocess.run(
             command, capture_output=True, text=True, timeout=limit, check=False, env=os.environ
@@ -123,7 +121,7 @@ def run_case(case: Case, out: Path, seconds: float, limit: float) -> dict[str, A
         "size": f"{hidden.size:.6g}" if hidden else "",
         "strength": f"{case.strength:.4g}",
         "cost": f"{case.cost:.4g}",
-        "cpu_s": round(_children() - spent, 1),
+        "cpu_s": round(children_seconds() - spent, 1),
         "wall_s": round(time.monotonic() - began, 1),
         "note": note,
     }
@@ -198,26 +196,6 @@ def summary(rows: Sequence[Mapping[str, Any]], args: argparse.Namespace) -> dict
     """Counts, with what is needed to run the study again."""
     settings = {n: getattr(args, n) for n in ("hidden", "healthy", "seconds", "seed", "limit")}
     return {**counts(rows), "settings": settings, "versions": versions()}
-
-
-def _children() -> float:
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
-
-
-def _read(table: Path) -> list[dict[str, Any]]:
-    if not table.exists():
-        return []
-    with table.open(newline="") as file:
-        return list(csv.DictReader(file))
-
-
-def _write(table: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list[str](COLUMNS), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    write_whole_text(table, text.getvalue())
 
 
 if __name__ == "__main__":
