@@ -37,8 +37,7 @@ def fit_with(variance: float) -> SimpleNamespace:
     """A fit of the constant c, of a load of 0.25 c, and of a delay that has no scale."""
     load = 0.25**2 * variance + 1e-10
     covariance = np.array([[variance, 0.25 * variance, 0.0], [0.25 * variance, load, 0.0], [0.0, 0.0, 1e-6]])
-    values = {"constant": 2.0, "load": 0.5, "delay": 0.01}
-    return SimpleNamespace(free=("constant", "load", "delay"), covariance=covariance, values=values)
+    return SimpleNamespace(free=("constant", "load", "delay"), covariance=covariance)
 
 
 def test_scale_is_known_from_all_that_is_declared_of_its_members():
@@ -52,15 +51,6 @@ def test_what_follows_the_scale_is_as_uncertain_and_a_time_is_not():
     assert added["load"] == pytest.approx(0.002)
     assert added["constant"] == pytest.approx(0.032)
     assert added["delay"] == 0.0
-
-
-def test_a_poorly_told_size_is_no_more_uncertain_by_the_scale_than_the_scale_itself():
-    fit = fit_with(1e-8)
-    # A friction of 0.5 with a standard deviation of 0.1, correlated with the constant by 0.1: a slope of 100 for one of
-    # 0.25 that the scale gives.
-    fit.covariance[1, 1] = 0.01
-    fit.covariance[0, 1] = fit.covariance[1, 0] = 0.1 * 0.1 * 1e-4
-    assert scale_variance(start_with(1e-8), fit)["load"] == pytest.approx(0.5**2 * 0.008)
 
 
 def test_a_kept_parameter_that_a_fit_frees_counts_by_itself():

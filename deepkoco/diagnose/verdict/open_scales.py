@@ -16,8 +16,6 @@ def scale_covariance(start: Baseline) -> np.ndarray:
     A scale c multiplies each member n of its gauge by c^e_n. The data say nothing of it, so what is known are the
     declared values v and deviations sd of all members: the precision of log c is the sum of (e_n v_n / sd_n)^2.
 
-    Source: weighted mean of independent normal estimates of log c, one of each member.
-
     Args:
         start: The baseline; its gauges may share members.
     """
@@ -39,8 +37,6 @@ def scale_variance(start: Baseline, fit: Fit) -> dict[str, float]:
         start: The baseline with the gauges.
         fit: A fit on top of it. A fit that frees a kept member as a changed parameter counts it by itself: then the
             result is empty, as it is without a gauge.
-
-    Source: propagation of uncertainty to first order, with the covariance of the scales of :func:`scale_covariance`.
     """
     kept = [g.fixed for g in start.gauges]
     if not kept or not set(kept) <= set(fit.free):
@@ -53,10 +49,5 @@ def scale_variance(start: Baseline, fit: Fit) -> dict[str, float]:
         return {}
     follows = np.linalg.solve(covariance[np.ix_(index, index)], covariance[index]).T  # (p, K)
     given = np.array([start.values[n] for n in kept])
-    value = np.array([fit.values[n] for n in fit.free])
-    # A scale multiplies a size by a power of itself. Where data tell a parameter poorly, the slope of the fit holds
-    # what priors pull it by too; far out that would change its sign.
-    most = np.array([max(map(abs, g.exponents.values())) for g in start.gauges]) * np.abs(value)[:, None]
-    moves = np.clip(follows * given, -most, most)  # by the logarithm of each scale
-    added = np.einsum("pk,kl,pl->p", moves, scale_covariance(start), moves)
-    return dict(zip(fit.free, added.tolist(), strict=True))
+    scales = scale_covariance(start) * np.outer(given, given)
+    return dict(zip(fit.free, np.einsum("pk,kl,pl->p", follows, scales, follows).tolist(), strict=True))
