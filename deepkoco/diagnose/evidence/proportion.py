@@ -13,6 +13,7 @@ from dataclasses import replace
 
 from deepkoco.diagnose.baseline import Baseline, tempered
 from deepkoco.diagnose.causes import Cause
+from deepkoco.diagnose.data_sheet import guessed
 from deepkoco.diagnose.evidence.priors import prior_with
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.dispersion import dispersion
@@ -24,7 +25,8 @@ def in_proportion(problem: FitProblem, start: Baseline, accepted: Sequence[Cause
     """Return the fit under a prior of the system's own parameters that counts as much as the residuals do.
 
     Fits that leave noise only stay as they are, and those under a prior that was tempered before: beside healthy logs,
-    and of many parameters. The prior of a cause is as wide as its size, so it does not count.
+    and of many parameters. A prior that is guessed from the kind of a parameter was measured by nobody, so it counts no
+    more than it does. The prior of a cause is as wide as its size, so it does not count.
 
     Args:
         problem: Training windows.
@@ -33,7 +35,7 @@ def in_proportion(problem: FitProblem, start: Baseline, accepted: Sequence[Cause
         fit: The fit.
     """
     windows = problem.windows
-    if start.healthy is not None or start.tempering > 1.0 or start.narrowing > 1.0:
+    if start.healthy is not None or start.tempering > 1.0 or start.narrowing > 1.0 or guessed(start):
         return fit
     if not accepted or fit.chi2 / windows.samples <= start.most_noise(windows):
         return fit
