@@ -48,6 +48,14 @@ class SignalPath:
         driving = self.commands[: len(self.command_joints)]
         return tuple((max(abs(c.low), abs(c.high)), c.unit) for c in driving)
 
+    @property
+    def drive_parameters(self) -> tuple[tuple[str, ...], ...]:
+        """Parameters to which the force of each driving command's drive is proportional, all taken together.
+
+        Empty where a drive delivers its command, or where a system does not tell.
+        """
+        return ((),) * len(self.command_joints)
+
     def shape_command(self, index: int, value: Tensor, t: Tensor, parameters: Parameters) -> Tensor:
         """Effort that answers the log of one command, before lag and delay.
 

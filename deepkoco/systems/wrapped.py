@@ -108,6 +108,10 @@ class WrappedSystem(System):
         return self.base.delivered_scales
 
     @property
+    def drive_parameters(self) -> tuple[tuple[str, ...], ...]:
+        return self.base.drive_parameters
+
+    @property
     def smoothing_speeds(self) -> tuple[float, ...]:
         return self.base.smoothing_speeds
 

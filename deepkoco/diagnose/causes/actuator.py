@@ -37,6 +37,17 @@ GAIN = Cause(
     lambda motion: motion.command,
     _gain_starts,
 )
+DRIVE_STRENGTH = Cause(
+    "drive_strength",
+    "actuator",
+    ("factor",),
+    "The drive is weaker or stronger than its model: all of its force differs by one factor.",
+    "Measure the supply voltage and the current of the stalled drive. Or hang a known weight on the joint and read by "
+    "how much it gives way.",
+    "command",
+    lambda motion: motion.command,
+    _gain_starts,
+)
 TORQUE_BIAS = Cause(
     "torque_bias",
     "actuator",

@@ -70,6 +70,10 @@ class ServoPendulum(System):
     def delivered_scales(self) -> tuple[tuple[float, str], ...]:
         return ((self.load_scale, "N m"),)
 
+    @property
+    def drive_parameters(self) -> tuple[tuple[str, ...], ...]:
+        return (("stiffness", "damping"),)
+
     def delivery(self, parameters: Parameters) -> Delivery:
         servo = Servo(parameters["stiffness"], parameters["damping"])
 

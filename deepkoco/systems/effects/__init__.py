@@ -16,6 +16,7 @@ from deepkoco.systems.effects.actuator import (
 from deepkoco.systems.effects.asymmetric_friction import ASYMMETRIC_VISCOUS
 from deepkoco.systems.effects.body import FORCE, LENGTH, PAYLOAD, TILT
 from deepkoco.systems.effects.disturbance import COGGING, CONSTANT_LOAD, PERIODIC, SPRING
+from deepkoco.systems.effects.drive_strength import DRIVE_STRENGTH
 from deepkoco.systems.effects.effect import Effect, PlacedEffect, SensorSite, place
 from deepkoco.systems.effects.elastic import ELASTIC
 from deepkoco.systems.effects.friction import COULOMB, LOAD_FRICTION, QUADRATIC, STRIBECK, VISCOUS
@@ -58,6 +59,7 @@ EFFECTS: dict[str, Effect] = {
         BACKLASH,
         GAIN_DRIFT,
         GAIN,
+        DRIVE_STRENGTH,
         GAIN_CURVE,
         ASYMMETRY,
         TORQUE_BIAS,

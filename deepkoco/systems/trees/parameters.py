@@ -168,6 +168,11 @@ def actuator_law(actuator: Actuator, parameters: Parameters) -> tuple[Sequence[S
     return tuple(gain), tuple(bias)
 
 
+def drive_parameters(actuator: Actuator) -> tuple[str, ...]:
+    """Names of the parameters in :func:`actuator_law`: its force is proportional to all of them together."""
+    return tuple(f"{kind}({actuator.name})" for kind in ("gain", "kp", "kv", "bias"))
+
+
 def time_constant(actuator: Actuator, parameters: Parameters) -> Tensor:
     """Of the actuator's first-order filter [s]; 0 without one."""
     value = _value(parameters, f"time_constant({actuator.name})", actuator.time_constant)

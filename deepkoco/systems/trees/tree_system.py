@@ -42,6 +42,7 @@ from deepkoco.systems.trees.parameters import (
     actuator_law,
     control_delay,
     declared_parameters,
+    drive_parameters,
     joint_value,
     payload_name,
     payload_place_name,
@@ -167,6 +168,12 @@ class TreeSystem(System):
         return tuple(
             (most, units[a.joint]) for most, a in zip(self._delivered, self.tree.actuators, strict=True)
         )
+
+    @property
+    def drive_parameters(self) -> tuple[tuple[str, ...], ...]:
+        known = {p.name for p in self.parameters}
+        named = [drive_parameters(actuator) for actuator in self.tree.actuators]
+        return tuple(tuple(n for n in own if n in known) for own in named)
 
     @property
     def tilt_parameters(self) -> tuple[Parameter, ...]:

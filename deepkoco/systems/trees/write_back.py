@@ -10,6 +10,7 @@ from typing import Any
 
 import torch
 
+from deepkoco.systems.effects.drive_strength import DRIVE_STRENGTH
 from deepkoco.systems.effects.effect import ALL, parameter_kinds
 from deepkoco.systems.effects.scaled import SCALED
 from deepkoco.systems.extended import ExtendedSystem
@@ -125,6 +126,10 @@ def _values(system: System) -> Values:
     """Parameters of a system; those that have a common factor are multiplied by it."""
     values = {p.name: float(p.value) for p in system.parameters}
     if isinstance(system, ExtendedSystem):
+        for placed in system.effects:
+            if placed.effect is DRIVE_STRENGTH:
+                factor = values[f"{placed.name}.factor"]
+                values |= {n: factor * values[n] for n in system.drive_parameters[placed.index]}
         for kind, names in parameter_kinds(system.base).items():
             factor = values.get(f"{SCALED.name}({kind}).factor", 1.0)
             values |= {n: factor * values[n] for n in names}
@@ -185,6 +190,7 @@ class _Writer:
             "actuation_delay": self._delayed,
             "tilt": lambda n, j, p: None,
             SCALED.name: lambda n, j, p: None,
+            DRIVE_STRENGTH.name: lambda n, j, p: None,
         }
         if kind in writers:
             writers[kind](name, index, own)

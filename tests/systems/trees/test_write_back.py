@@ -62,6 +62,7 @@ EXPRESSED = {
     "payload": (("payload",), {"payload.mass": 0.4}),
     "gain": (("gain(shoulder)",), {"gain(shoulder).factor": 0.7}),
     "gain of a servo": (("gain(elbow)",), {"gain(elbow).factor": 0.7}),
+    "strength of a servo": (("drive_strength(elbow)",), {"drive_strength(elbow).factor": 0.7}),
     "bias": (("torque_bias(shoulder)",), {"torque_bias(shoulder).effort": 0.5}),
     "bias of a servo": (("torque_bias(elbow)",), {"torque_bias(elbow).effort": 0.2}),
     "gain and bias": (

@@ -85,7 +85,8 @@ class Kind:
 
 DRY = ("coulomb({j})", "stribeck({j})", "bristle({j})", "changed(frictionloss({j}))")
 CARRIED = ("payload", "payload({b})", "changed(mass({b}))")
-GAINS = ("gain({j})", "gain(all)", "changed(gain({a}))", "changed(kp({a}))")
+# The factor acts on all of a drive: of a servo that is its strength.
+GAINS = ("gain({j})", "gain(all)", "drive_strength({j})", "changed(gain({a}))", "changed(kp({a}))")
 HINGED = ("pendulum", "servo_pendulum", "arm2_motor")
 
 
