@@ -26,7 +26,7 @@ from deepkoco.systems.plain import is_plain, is_readable
 Values = tuple[Tensor, ...]
 Levels = tuple[Tensor | None, ...]
 
-SWEEPS = 60  # at most; two joints need about five
+SWEEPS = 400  # at most; two joints need about five, and five that drag hard on each other up to a hundred
 UNREAD_SWEEPS = 12  # always, where the values cannot be read: in a trace, and on a device
 HUGE = 1e100  # share of a level; its square is finite
 CLOSE = 1e-7  # change of an acceleration in a sweep, as a share of it, at which the sweeps end

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
@@ -34,6 +34,7 @@ def solved(inverse, free, levels, before):
 
 @settings(deadline=None)
 @given(joints=st.integers(1, 5), seed=st.integers(0, 10_000))
+@example(joints=5, seed=588)  # drags so hard that 60 sweeps do not settle it
 def test_joints_at_rest_take_the_loads_that_leave_the_least_motion(joints, seed):
     inverse, free, levels = coupled(joints, seed)
     found = solved(inverse, free, levels, np.zeros(joints))
@@ -46,6 +47,7 @@ def test_joints_at_rest_take_the_loads_that_leave_the_least_motion(joints, seed)
 
 @settings(deadline=None)
 @given(joints=st.integers(1, 5), seed=st.integers(0, 10_000), pace=st.floats(0.0, 0.1))
+@example(joints=5, seed=158, pace=0.0)
 def test_friction_of_coupled_joints_stays_within_its_level(joints, seed, pace):
     inverse, free, levels = coupled(joints, seed)
     before = pace * np.random.default_rng([seed, 1]).standard_normal(joints)
