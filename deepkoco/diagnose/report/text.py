@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from rich.markup import escape
 from rich.table import Table
@@ -40,6 +41,8 @@ def headline(diagnosis: Diagnosis) -> str:
         values = " and ".join(moved_value(m) for m in diagnosis.moved)
         explained = f"{values}. With this, the simulation explains the log up to noise"
     differs = "no cause of the catalogue explains the difference"
+    if (family := diagnosis.unexplained.get("family")) is not None:
+        differs = f"most likely by {family['text']}"
     if diagnosis.left_out:
         differs = "the time did not suffice to say by what"
     return {
@@ -49,6 +52,14 @@ def headline(diagnosis: Diagnosis) -> str:
         "unknown": f"The simulation differs from this log, and {differs}",
         "insufficient": "The data do not suffice",
     }[diagnosis.verdict]
+
+
+def nearest_of(family: Mapping[str, Any]) -> str:
+    """Return a sentence about the cause of the catalogue that comes nearest to an unknown one of the same family."""
+    return (
+        f"{spoken(family['cause'])} explains {100 * family['share']:.0f} % of the difference; among all causes of the "
+        f"catalogue its family ({family['name']}) has {100 * family['probability']:.0f} %."
+    )
 
 
 def moved_value(moved: Moved) -> str:
@@ -253,6 +264,8 @@ def terminal_table(diagnosis: Diagnosis) -> Table:
     far = max(map(abs, diagnosis.prior_sds.values()), default=0.0) >= NOTABLE
     if diagnosis.verdict == "nothing" and far and not diagnosis.moved:
         _add_row(table, "parameters", _farthest(diagnosis).strip())
+    if (family := diagnosis.unexplained.get("family")) is not None:
+        _add_row(table, "nearest cause", nearest_of(family))
     if diagnosis.verdict == "unknown":
         for signature in diagnosis.unexplained.get("signatures") or ():
             _add_row(table, "seen", signature["text"])

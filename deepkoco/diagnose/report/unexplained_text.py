@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from deepkoco.diagnose.diagnosis import Diagnosis
-from deepkoco.diagnose.report.text import beside_causes, spoken
+from deepkoco.diagnose.report.text import beside_causes, nearest_of, spoken
 from deepkoco.diagnose.verdict.unknown import WORST
 
 FEW_MOMENTS = 3.0  # kurtosis from which a few moments make up most of the missing load
@@ -38,6 +38,8 @@ def remains(diagnosis: Diagnosis) -> list[str]:
         )
     else:
         result.append(f"Neighbouring errors are hardly correlated ({lag:.2f}), as those of noise.")
+    if (family := left.get("family")) is not None:
+        result.append(nearest_of(family))
     result.append(_related(left["correlations"]))
     result += [signature["text"] for signature in left.get("signatures", [])]
     if (learned := left.get("residual_model")) is not None:

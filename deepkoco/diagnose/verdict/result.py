@@ -28,6 +28,7 @@ from deepkoco.diagnose.verdict.advice import (
     not_fitted,
     possible_advice,
 )
+from deepkoco.diagnose.verdict.family import family_of
 from deepkoco.diagnose.verdict.findings import estimates, finding, localise, over_classes
 from deepkoco.diagnose.verdict.healthy_range import range_advice
 from deepkoco.diagnose.verdict.judgement import Judgement
@@ -171,8 +172,10 @@ def _unexplained(request: DiagnosisRequest, explanation: Explanation, judgement:
     refitted = final is base.reference
     remaining = judgement.missing if refitted else missing_torque(explanation.found.acting, final)
     learned = judgement.learned
+    family = family_of(explanation) if judgement.verdict == "unknown" else None
     return {
         **describe(remaining, left),
+        **({} if family is None else {"family": family.to_json()}),
         "not_identified": [vars(d) for d in _unidentified(base)],
         "scale_gauges": [g.to_json() for g in base.start.gauges],
         "limits": {"chi2_per_sample": limit, "lag_one": alike},
