@@ -51,9 +51,14 @@ class JointMemory:
 
     def advanced(self, values: Values, since: Values, motion: Motion) -> Values:
         """Values after the joints have moved from the angles ``since``, each in one direction."""
+        moved = tuple(now - before for now, before in zip(motion.angles, since, strict=True))
+        return self.moved(values, moved, motion)
+
+    def moved(self, values: Values, ways: Values, motion: Motion) -> Values:
+        """Values after the joints have moved these ways, each in one direction, to where they are now."""
         result = []
         for value, (memory, _, j, own) in zip(values, self.parts, strict=True):
-            result.append(memory.advance(value, motion.angles[j] - since[j], _joint(motion, j), own))
+            result.append(memory.advance(value, ways[j], _joint(motion, j), own))
         return tuple(result)
 
     def loads(self, values: Values, motion: Motion, given: Levels) -> Levels:

@@ -1,5 +1,7 @@
 """Effects that remember the way of a joint, along a log, against solutions of their differential equations."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -70,7 +72,7 @@ def test_bristles_hold_a_joint_at_rest_and_let_it_spring_back():
     still = log(3.0)
     command = still.channels["torque"]
     still.channels["torque"] = Series(command.t, np.zeros(len(command.t)), "N m", "command")
-    windows = cut_windows([still], system, 2.0)
+    windows = replace(cut_windows([still], system, 2.0), way=None)  # it did not come from where this log was
     # The weight at 0.1 rad asks for 0.3 N m of the 0.5 N m that bristles hold; then at 0.3 rad for 0.9 N m.
     for angle, stays in ((0.1, True), (0.3, False)):
         initial = torch.tensor([angle, 0.0], dtype=torch.float64).expand(1, len(windows), 2)

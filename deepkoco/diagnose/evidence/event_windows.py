@@ -89,12 +89,14 @@ def _largest(problem: FitProblem, fit: Fit) -> np.ndarray:
 
 
 def _joined(a: Windows, b: Windows) -> Windows:
-    doubt = None
-    if a.doubt is not None and b.doubt is not None:
-        doubt = torch.cat([a.doubt, b.doubt])
+    def both(name: str) -> torch.Tensor | None:
+        first, second = getattr(a, name), getattr(b, name)
+        return None if first is None or second is None else torch.cat([first, second])
+
     return replace(
         a,
-        doubt=doubt,
+        doubt=both("doubt"),
+        way=both("way"),
         log=np.concatenate([a.log, b.log]),
         t0=np.concatenate([a.t0, b.t0]),
         t=torch.cat([a.t, b.t]),

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from deepkoco.fit.data.way_before import way_after
 from deepkoco.fit.data.windows import Windows, first_state
 
 
@@ -37,4 +38,19 @@ def halved(windows: Windows) -> Windows:
         state=torch.from_numpy(np.array([part[3] for part in parts])),
         rests=np.repeat(windows.rests, 2),
         doubt=None if windows.doubt is None else windows.doubt.repeat_interleave(2, 0),
+        way=None if windows.way is None else _ways_of_halves(windows, half),
     )
+
+
+def _ways_of_halves(windows: Windows, half: float) -> torch.Tensor:
+    """(2 W, J, P): the second half of a window begins after the way of the first."""
+    assert windows.way is not None
+    joints, before = windows.state.shape[1] // 2, windows.way.numpy()
+    shown = [(c, s) for c, s in enumerate(windows.shows) if s < joints]
+    result = []
+    for w, way in enumerate(before):
+        first = (windows.valid[w] & (windows.t[w] < half)).numpy()
+        value = windows.value[w].numpy()
+        between = {s: (value[c, first[c]], windows.noise[c].sd) for c, s in shown}
+        result += [way, way_after(way, between)]
+    return torch.from_numpy(np.array(result).reshape(-1, *before.shape[1:]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -35,6 +36,8 @@ class StepsInput(NamedTuple):
         slope: Per command (n, W, L), its change per second.
         loads: (n, J, W, L) outside loads [N m or N]; None for none.
         apart: Whether values of parameters differ from window to window.
+        way: (P, J, W, 1) positions at the last turning points before the start, and there; None where none is known.
+        unseen: Per joint, way up to which noise hides a motion.
     """
 
     step: float
@@ -44,6 +47,8 @@ class StepsInput(NamedTuple):
     slope: Sequence[Tensor]
     loads: Tensor | None
     apart: bool = False
+    way: Tensor | None = None
+    unseen: Sequence[float] = ()
 
 
 def in_torch(equations: Equations, given: StepsInput) -> Nodes:
@@ -110,7 +115,21 @@ def first_memory(equations: Equations, given: StepsInput) -> tuple[Tensor, ...]:
     motion = Motion(angle, speed, efforts, loads, given.time, equations.smoothing)
     inverse = equations.inverse(motion)
     needed = tuple(-a / inverse[j][j] for j, a in enumerate(equations.free(motion)))
-    return equations.memory.start(motion, needed)
+    guess = equations.memory.start(motion, needed)
+    if given.way is None:
+        return guess
+    seen = guess
+    for before, after in itertools.pairwise(given.way.unbind(0)):
+        seen = equations.memory.moved(seen, (after - before).unbind(0), motion)
+    # A motion that noise hides lets the joint come to rest in balance, as the guess has it.
+    ends = [
+        equations.memory.moved(seen, tuple(torch.full_like(angle[0], sign * w) for w in given.unseen), motion)
+        for sign in (-1.0, 1.0)
+    ]
+    return tuple(
+        torch.minimum(torch.maximum(g, torch.minimum(a, b)), torch.maximum(a, b))
+        for g, a, b in zip(guess, *ends, strict=True)
+    )
 
 
 def _corrected_in(

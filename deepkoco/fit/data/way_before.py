@@ -1,0 +1,106 @@
+"""The way of a joint before a window: its last turning points, which decide how its bristles are bent.
+
+What an effect remembers of a way (:class:`deepkoco.systems.joint_state.Memory`) cannot be read from the state at the
+start of a window, but from the log before it. While a joint moves in one direction only the way counts, so turning
+points are all there is to know.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numba import njit
+
+POINTS = 8  # last turning points that are kept: each way between two of them forgets those before
+ABOVE_NOISE = (
+    6.0  # noise standard deviations that a joint must go back by; a flicker of one tick is 3.5 of them
+)
+
+
+def ways_before(
+    series: Mapping[int, tuple[np.ndarray, np.ndarray, float]],
+    starts: np.ndarray,
+    joints: int,
+    gaps: Sequence[tuple[float, float]] = (),
+) -> np.ndarray:
+    """Return the positions of each joint at its last turning points before each start, and at the start.
+
+    Args:
+        series: Joint -> stamps (n,) [s], positions (n,) and the standard deviation of their noise.
+        starts: (W,) times [s], rising.
+        joints: How many joints.
+        gaps: Begin and end of stretches of which nothing is known [s]; the way begins after them.
+
+    Returns:
+        (W, J, `POINTS` + 1), in the order of time. Where less is known, the first known position is repeated; a joint
+        that is not measured stays at 0.
+    """
+    result = np.zeros((len(starts), joints, POINTS + 1))
+    ends = np.sort(np.array([end for _, end in gaps]))
+    for joint, (stamps, positions, noise) in series.items():
+        known = np.isfinite(positions)
+        t, q = stamps[known], positions[known]
+        if len(t):
+            at = np.searchsorted(t, starts, side="right")
+            since = np.zeros(len(starts), dtype=np.int64)
+            if len(ends):
+                last = np.searchsorted(ends, starts, side="right") - 1
+                since = np.where(last >= 0, np.searchsorted(t, ends[last]), 0)
+            _turning_points(q, at, since, ABOVE_NOISE * noise, result[:, joint])
+    return result
+
+
+def way_after(way: np.ndarray, positions: Mapping[int, tuple[np.ndarray, float]]) -> np.ndarray:
+    """Return the way (J, `POINTS` + 1) before a time, from the one before an earlier time and the positions between.
+
+    Args:
+        way: (J, `POINTS` + 1), as :func:`ways_before` returns it.
+        positions: Joint -> positions (n,) since then and the standard deviation of their noise.
+    """
+    result = way.copy()
+    for joint, (since, noise) in positions.items():
+        if len(since):
+            q = np.concatenate([way[joint], since])
+            begin, end = np.zeros(1, dtype=np.int64), np.array([len(q)])
+            _turning_points(q, end, begin, ABOVE_NOISE * noise, result[joint][None])
+    return result
+
+
+@njit(cache=True)
+def _turning_points(q, at, since, least, result):
+    """Write the last turning points before sample ``at[w]``, and the position there, into ``result[w]``."""
+    windows, size = result.shape
+    points = np.zeros(size)
+    begun, count, farthest, way = -1, 0, 0.0, 0
+    k = 0
+    for w in range(windows):
+        if since[w] != begun:  # a new stretch
+            begun = since[w]
+            k, count, way = begun, 0, 0
+        while k < at[w]:
+            x = q[k]
+            if count == 0:
+                points[0], count, farthest, way = x, 1, x, 0
+            elif way == 0:
+                if abs(x - points[count - 1]) > least:
+                    way = 1 if x > points[count - 1] else -1
+                    farthest = x
+            elif (x - farthest) * way >= 0.0:
+                farthest = x
+            elif abs(x - farthest) > least:
+                if count == size:
+                    points[:-1] = points[1:]
+                    count -= 1
+                points[count] = farthest
+                count += 1
+                farthest, way = x, -way
+            k += 1
+        if count == 0:
+            continue
+        kept = min(count, size - 1)
+        result[w, size - 1] = farthest if way != 0 else points[count - 1]
+        for i in range(kept):
+            result[w, size - 2 - i] = points[count - 1 - i]
+        for i in range(size - 1 - kept):
+            result[w, i] = points[count - kept]
