@@ -66,6 +66,47 @@ def test_bristles_bend_and_slip_as_their_differential_equation_says():
     assert found[1].numpy() == pytest.approx(y[1], abs=1e-2)
 
 
+def lugre_of(start, bend, t0, times, ratio, speed):
+    """Angle and speed with LuGre friction by another solver (Canudas de Wit et al. 1995), z in metres of bristles."""
+    p = {q.name: q.value for q in make_system(SYSTEM).parameters}
+    stiffness = LEVEL / DISTANCE
+
+    def slope(t, y):
+        q, v, z = y
+        most = LEVEL * (1.0 + ratio * np.exp(-((v / speed) ** 2)))
+        rate = v - stiffness * z * abs(v) / most
+        load = -stiffness * z - np.clip(stiffness * RELAXATION * rate, -LEVEL, LEVEL)
+        free = torque(t0 + t) - p["gravity_torque"] * np.sin(q) - p["viscous"] * v
+        return v, (free + load) / p["inertia"], rate
+
+    first = [*start, bend * DISTANCE]
+    return solve_ivp(slope, (0.0, times[-1]), first, t_eval=times, max_step=5e-4, rtol=1e-8, atol=1e-10).y
+
+
+def test_friction_of_lugre_follows_its_differential_equation():
+    ratio, speed = 0.6, 0.3
+    own = {"level": LEVEL, "distance": DISTANCE, "relaxation": RELAXATION, "ratio": ratio, "speed": speed}
+    system = ExtendedSystem(make_system(SYSTEM), ("lugre",), {f"lugre.{n}": v for n, v in own.items()})
+    windows = cut_windows([log(3.0)], system, 2.0)
+    start = (0.1, 1.8)
+    initial = torch.tensor(start, dtype=torch.float64).expand(1, len(windows), 2)
+    found = predict(system, windows, system.default_parameters(), initial)[0, 0]
+    y = lugre_of(start, 1.0, float(windows.t0[0]), windows.t[0, 0].numpy(), ratio, speed)
+    assert np.ptp(np.sign(y[1])) == 2.0  # it turns
+    assert found[0].numpy() == pytest.approx(y[0], abs=1e-3)
+
+
+def test_friction_of_lugre_without_excess_is_that_of_bristles():
+    own = {"level": LEVEL, "distance": DISTANCE}
+    found = []
+    for name in ("bristle", "lugre"):
+        system = ExtendedSystem(make_system(SYSTEM), (name,), {f"{name}.{n}": v for n, v in own.items()})
+        windows = cut_windows([log(3.0)], system, 2.0)
+        initial = torch.tensor([0.1, 0.2], dtype=torch.float64).expand(1, len(windows), 2)
+        found.append(predict(system, windows, system.default_parameters(), initial))
+    assert torch.allclose(*found, rtol=0.0, atol=1e-12)
+
+
 def test_bristles_hold_a_joint_at_rest_and_let_it_spring_back():
     values = {"bristle.level": LEVEL, "bristle.distance": DISTANCE}
     system = ExtendedSystem(make_system(SYSTEM), ("bristle",), values)

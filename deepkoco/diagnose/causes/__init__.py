@@ -23,7 +23,15 @@ from deepkoco.diagnose.causes.choose import UnknownCauseError, causes_named, mea
 from deepkoco.diagnose.causes.disturbance import COGGING, CONSTANT_LOAD, PERIODIC, SPRING
 from deepkoco.diagnose.causes.drive import ELASTIC
 from deepkoco.diagnose.causes.event import EVENT
-from deepkoco.diagnose.causes.friction import BRISTLE, COULOMB, LOAD_FRICTION, QUADRATIC, STRIBECK, VISCOUS
+from deepkoco.diagnose.causes.friction import (
+    BRISTLE,
+    COULOMB,
+    LOAD_FRICTION,
+    LUGRE,
+    QUADRATIC,
+    STRIBECK,
+    VISCOUS,
+)
 from deepkoco.diagnose.causes.parameter import CHANGED, SCALED, changed_causes, changed_parameter, is_changed
 from deepkoco.diagnose.causes.sensor import (
     CHANNEL_SLIP,
@@ -67,6 +75,7 @@ CAUSES: dict[str, Cause] = {
         LOAD_FRICTION,
         ASYMMETRIC_VISCOUS,
         BRISTLE,
+        LUGRE,
         GAIN,
         DRIVE_STRENGTH,
         TORQUE_BIAS,

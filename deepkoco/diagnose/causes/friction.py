@@ -88,3 +88,21 @@ BRISTLE = Cause(
     _bristle_starts,
     shape=("distance",),
 )
+
+
+def _lugre_starts(hint: Hint) -> list[dict[str, float]]:
+    speeds = [s["speed"] for s in _stribeck_starts(hint)[:2]]
+    return [{**bristle, "ratio": 0.5, "speed": v} for bristle in _bristle_starts(hint) for v in speeds]
+
+
+LUGRE = Cause(
+    "lugre",
+    "friction",
+    ("level", "distance", "ratio", "speed"),
+    "Dry friction acts on the joint and is larger near standstill, and the joint springs back before it slips.",
+    "Push the joint lightly to and fro at rest, then move it at several constant speeds, slow ones among them.",
+    "omega",
+    lambda motion: -np.sign(motion.omega),
+    _lugre_starts,
+    shape=("distance", "ratio", "speed"),
+)

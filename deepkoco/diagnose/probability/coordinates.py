@@ -31,6 +31,7 @@ SHAPES = (
     "centre",
     "cycles",
     "speed",
+    "ratio",
     "distance",
     "relaxation",
 )  # useless while the size is null

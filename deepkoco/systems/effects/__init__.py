@@ -20,7 +20,7 @@ from deepkoco.systems.effects.drive_strength import DRIVE_STRENGTH
 from deepkoco.systems.effects.effect import Effect, PlacedEffect, SensorSite, place
 from deepkoco.systems.effects.elastic import ELASTIC
 from deepkoco.systems.effects.friction import COULOMB, LOAD_FRICTION, QUADRATIC, STRIBECK, VISCOUS
-from deepkoco.systems.effects.hysteresis import BRISTLE, GEAR_PLAY
+from deepkoco.systems.effects.hysteresis import BRISTLE, GEAR_PLAY, LUGRE
 from deepkoco.systems.effects.learned import LEARNED
 from deepkoco.systems.effects.noise import JITTER, LOST_COMMANDS, NOISE_LEVEL, QUANTISATION
 from deepkoco.systems.effects.scaled import SCALED
@@ -55,6 +55,7 @@ EFFECTS: dict[str, Effect] = {
         LOAD_FRICTION,
         ASYMMETRIC_VISCOUS,
         BRISTLE,
+        LUGRE,
         UNIT_SLIP,
         BACKLASH,
         GAIN_DRIFT,

@@ -5,7 +5,8 @@ one direction. The play is that of a gear whose output is light or rubs: it stay
 crossed the play, and its load on the motor's side is that of a stiff gear.
 
 Source: Dahl, A solid friction model (1968); Canudas de Wit, Olsson, Astrom, Lischinsky, A new model for control of
-    systems with friction, IEEE Transactions on Automatic Control 40(3), 1995, for the damping of the bristles; Tao and
+    systems with friction, IEEE Transactions on Automatic Control 40(3), 1995, for the damping of the bristles and for
+    friction that is larger near standstill; Tao and
     Kokotovic, Adaptive Control of Systems with Actuator and Sensor Nonlinearities (1996), for the play.
 """
 
@@ -15,6 +16,7 @@ import torch
 from torch import Tensor
 
 from deepkoco.systems.effects.effect import Effect
+from deepkoco.systems.effects.friction import FASTEST_STRIBECK, STRIBECK_SPEED
 from deepkoco.systems.joint_state import JointState, Memory
 from deepkoco.systems.parameter import Parameter, Parameters
 from deepkoco.systems.system import System
@@ -64,6 +66,53 @@ BRISTLE = Effect(
     "dry friction whose bristles bend before they slip",
     _bristle_load,
     memory=Memory(_bent_at_first, _bent),
+)
+
+
+def _lugre(system: System, joint: int = 0) -> tuple[Parameter, ...]:
+    bristles = _bristle(system, joint)
+    if not bristles:
+        return ()
+    slowest, unit = system.smoothing_speeds[joint], system.state_units[system.joints + joint]
+    usual, fastest = STRIBECK_SPEED * slowest, FASTEST_STRIBECK * slowest
+    return (
+        *bristles,
+        Parameter("ratio", 0.0, "1", 0.0, 5.0, 0.5, "Fs/Fc - 1, excess of the friction near standstill"),
+        Parameter("speed", usual, unit, slowest, fastest, 2.0 * usual, "vs, Stribeck speed"),
+    )
+
+
+def _most_bent(joint: JointState, p: Parameters) -> Tensor:
+    # g(v) / Fc: near standstill bristles bend farther before they slip.
+    return 1.0 + p["ratio"] * torch.exp(-((joint.speed / p["speed"]) ** 2))
+
+
+def _lugre_at_first(joint: JointState, needed: Tensor, p: Parameters) -> Tensor:
+    most = _most_bent(joint, p)
+    return most * _bent_at_first(joint, needed / most, p)
+
+
+def _lugre_bent(bend: Tensor, moved: Tensor, joint: JointState, p: Parameters) -> Tensor:
+    # dz/dq = 1 - z sign(q') / (g / Fc), with z in ways of bending, at the speed that the joint has now.
+    most = _most_bent(joint, p)
+    end = most * torch.sign(moved)
+    kept = torch.exp(-moved.abs() / (p["distance"] * most))
+    return torch.where(moved == 0.0, bend, end - (end - bend) * kept)
+
+
+def _lugre_load(joint: JointState, bend: Tensor, p: Parameters) -> Tensor:
+    rate = (joint.speed - bend * joint.speed.abs() / _most_bent(joint, p)) / p["distance"]
+    return -p["level"] * (bend + torch.clamp(p["relaxation"] * rate, -1.0, 1.0))
+
+
+LUGRE = Effect(
+    "lugre",
+    "friction",
+    "memory",
+    _lugre,
+    "dry friction that is larger near standstill, whose bristles bend before they slip (LuGre)",
+    _lugre_load,
+    memory=Memory(_lugre_at_first, _lugre_bent),
 )
 
 

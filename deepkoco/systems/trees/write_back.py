@@ -252,6 +252,7 @@ LEFT_OUT = {
     "lost_commands": "drop commands in your own loop",
     "constant_load": "MJCF has no constant load; set data.qfrc_applied of the joint before each step",
     "bristle": "MJCF has no friction with a memory; use model.yaml",
+    "lugre": "MJCF has no friction with a memory; use model.yaml",
     "gear_play": "MJCF needs a joint of its own for play; add one behind the gear by hand",
     "learned": "MJCF has no learned load; use model.yaml",
 }
