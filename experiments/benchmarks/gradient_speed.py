@@ -61,19 +61,28 @@ class Ours:
         batch: environments.
         steps: of the agent.
         threads: of the fused one.
+        schedules: different timings that the environments have.
     """
 
-    def __init__(self, world: str, executor: str, batch: int, steps: int = 50, threads: int = 1) -> None:
+    def __init__(
+        self,
+        world: str,
+        executor: str,
+        batch: int,
+        steps: int = 50,
+        threads: int = 1,
+        schedules: int = SCHEDULES,
+    ) -> None:
         node, values, width, size = gradient_work.make_world(world)
         graph = gradient_work.make_graph(node, width, size)
-        timing = draw_timing(graph, np.random.default_rng(0), steps, SCHEDULES, rows=SCHEDULES)
+        timing = draw_timing(graph, np.random.default_rng(0), steps, schedules, rows=schedules)
         self.runtime = BatchedRuntime(graph, timing, executor=executor, threads=threads)
         self.parameters = {key: value.clone().requires_grad_() for key, value in values.items()}
         self.actions = gradient_work.make_actions(steps, batch, width).requires_grad_()
         random = torch.Generator().manual_seed(0)
         self.start = (0.5 * torch.randn(batch, size, generator=random)).requires_grad_()
         self._watched: list[Watched] = []
-        self.rows = np.random.default_rng(1).integers(SCHEDULES, size=batch)
+        self.rows = np.random.default_rng(1).integers(schedules, size=batch)
 
     def kernel_seconds(self) -> float:
         """Processor time in kernels so far; begins to count when it is first called."""
@@ -263,6 +272,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--batch", type=int, nargs="+", default=[1, 64, 256, 1024])
     parser.add_argument("--worlds", nargs="+", default=gradient_work.WORLDS, choices=gradient_work.WORLDS)
     parser.add_argument("--steps", type=int, default=50, help="of the agent")
+    parser.add_argument("--schedules", type=int, default=SCHEDULES, help="different timings")
     parser.add_argument("--repeats", type=int, default=11)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--eager", action="store_true", help="eager autograd too, up to 256 environments")
@@ -279,10 +289,15 @@ def main(arguments: list[str] | None = None) -> int:
     peer, rows = Peer(given.steps) if given.peer else None, []
     for world in given.worlds:
         for batch in given.batch:
-            make = {name: Ours(world, "fused", batch, given.steps, given.threads) for name in OURS}
+            make = {
+                name: Ours(world, "fused", batch, given.steps, given.threads, given.schedules)
+                for name in OURS
+            }
             workers = {name: timed(OURS[name](ours), ours.kernel_seconds) for name, ours in make.items()}
             for unknowns in given.differences:  # every point is an environment of one batch
-                more = Ours(world, "fused", batch * (unknowns + 1), given.steps, given.threads)
+                more = Ours(
+                    world, "fused", batch * (unknowns + 1), given.steps, given.threads, given.schedules
+                )
                 workers[f"differences_{unknowns}"] = timed(more.forward(), more.kernel_seconds)
             if given.eager and batch <= 256:
                 workers["eager"] = timed(Ours(world, "eager", batch, given.steps).gradient())
