@@ -110,7 +110,9 @@ def later(parameters: Parameters, inputs: Mapping[str, Input]) -> dict[str, Inpu
         own = name.removesuffix(EXTRA_DELAY)
         if own != name:
             if own not in found:
-                raise GraphError(f'parameter "{name}": no input "{own}"; there are {", ".join(found) or "none"}')
+                raise GraphError(
+                    f'parameter "{name}": no input "{own}"; there are {", ".join(found) or "none"}'
+                )
             shift = delay.to(torch.float64)
             arrival = found[own].t_received + (shift.unsqueeze(-1) if shift.ndim else shift)
             found[own] = found[own]._replace(t_received=arrival)

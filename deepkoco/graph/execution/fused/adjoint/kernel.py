@@ -10,7 +10,8 @@ from deepkoco.graph.execution.fused.source import KernelSource
 from deepkoco.graph.model.graph import Graph
 
 LOG = np.dtype(
-    [(n, np.int64) for n in ("first", "states", "state_bytes", "outputs", "output_bytes", "stride", "map", "bars", "history")]
+    [(n, np.int64) for n in ("first", "states", "state_bytes", "outputs", "output_bytes", "stride")]
+    + [(n, np.int64) for n in ("map", "bars", "history")]
     + [(n, np.int32) for n in ("depth", "differs", "mask", "unused")]
 )
 """Where the tape of a node lies, as `tape.h` reads it."""

@@ -15,7 +15,7 @@ from deepkoco.graph.execution.fused.adjoint.kernel import PullStruct
 from deepkoco.graph.execution.fused.adjoint.leaves import END, LazyLeaves, as_cotangent, moving_field
 from deepkoco.graph.execution.fused.adjoint.tape import Layout, Tape
 from deepkoco.graph.execution.fused.memory import Memory
-from deepkoco.graph.execution.fused.record import Field, Records
+from deepkoco.graph.execution.fused.record import Records
 from deepkoco.graph.execution.fused.rollout import BlockCall, over_blocks
 from deepkoco.graph.execution.fused.state import FusedState
 from deepkoco.graph.execution.state import HorizonError
