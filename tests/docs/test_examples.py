@@ -48,6 +48,7 @@ def test_examples_go_on_from_the_first_graph(
         pytest.param("design.md", marks=pytest.mark.study),
         "distractors.md",
         "environments.md",
+        "gradients.md",
         "hidden_cause.md",
         pytest.param("logs.md", marks=pytest.mark.study),
         pytest.param("identify.md", marks=pytest.mark.study),

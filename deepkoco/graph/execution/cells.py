@@ -52,3 +52,19 @@ def resize(cells: tuple[Tensor, ...], depth: int, written: np.ndarray) -> tuple[
     # The latest step that belongs into each cell; what has left the old cells is not needed any more.
     seq = written[:, None] - 1 - (written[:, None] - 1 - cell) % depth
     return read(cells, seq).unbind(dim=1)
+
+
+def rotate(stacked: Tensor, by: np.ndarray) -> Tensor:
+    """Stacked cells (B, depth, ...) in another order: place i takes what was in place (i + by) % depth.
+
+    Args:
+        stacked: cells side by side.
+        by: (B,) of each environment.
+    """
+    batch, depth = stacked.shape[:2]
+    places = (np.arange(depth) + by[:, None]) % depth
+    if (places == places[0]).all():
+        order = places[0].tolist()
+        return stacked if order == sorted(order) else stacked[:, order]
+    rows = torch.arange(batch, device=stacked.device)[:, None]
+    return stacked[rows, torch.from_numpy(places).to(stacked.device)]

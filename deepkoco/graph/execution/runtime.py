@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -22,6 +22,7 @@ from deepkoco.graph.timing.computation_graph import ComputationGraph
 __all__ = ["EXECUTORS", "BatchedRuntime", "HorizonError", "NodeParameters", "RuntimeState", "Trace"]
 
 EXECUTORS = ("eager", "fused", "cuda")
+Result = TypeVar("Result")
 
 
 class BatchedRuntime:
@@ -31,8 +32,9 @@ class BatchedRuntime:
     results, `fused` up to the rounding of floating-point numbers:
 
     - `eager`: torch operations; any node, any device (CUDA with `device="cuda"`), gradients.
-    - `fused`: node functions compiled into one C++ kernel; CPU, no gradients. Where a node cannot be compiled
-      or there is no compiler, a warning says so and `eager` runs.
+    - `fused`: node functions compiled into one C++ kernel; CPU. Gradients come from a reverse kernel, which is made
+      when they are first wanted. Where a node cannot be compiled or there is no compiler, a warning says so and
+      `eager` runs.
     - `cuda`: the slots of a supervisor step captured as one CUDA graph; a CUDA device, no gradients.
 
     Args:
@@ -148,7 +150,7 @@ class BatchedRuntime:
         Raises:
             HorizonError: the timing of an environment ends here.
         """
-        state = self._executor.step(self._adopted(state), action, trace)
+        state = self._with_fallback(lambda executor: executor.step(executor.adopt(state), action, trace))
         return state, self._executor.inputs(state)
 
     def rollout(
@@ -161,6 +163,9 @@ class BatchedRuntime:
         record: Sequence[str] | None = None,
     ) -> tuple[RuntimeState, dict[str, Tensor]]:
         """Take many steps at once; the fused and cuda executors take the policy into what they compile.
+
+        Where parameters, initial states, actions or weights of the policy require gradients, the results have them:
+        `eager` and `fused`, there with the policy between the steps.
 
         Args:
             state: what `reset`, `step` or `rollout` returned.
@@ -185,13 +190,15 @@ class BatchedRuntime:
         if steps < 1:
             raise ValueError(f"a rollout of {steps} steps: take at least one")
         names = recorded_names(None if record is None else tuple(record), state)
-        return self._executor.rollout(self._adopted(state), policy, steps, parameters, names)
+        return self._with_fallback(
+            lambda executor: executor.rollout(executor.adopt(state), policy, steps, parameters, names)
+        )
 
     def _adopted(self, state: RuntimeState) -> RuntimeState:
         """The state as the executor keeps it."""
         return self._with_fallback(lambda executor: executor.adopt(state))
 
-    def _with_fallback(self, run: Callable[[Executor[Any]], RuntimeState]) -> RuntimeState:
+    def _with_fallback(self, run: Callable[[Executor[Any]], Result]) -> Result:
         """Run with the executor that was asked for; with the eager one from where a graph is not compiled on."""
         try:
             return run(self._executor)

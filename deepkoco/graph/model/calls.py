@@ -22,6 +22,8 @@ from deepkoco.graph.model.parts import Parts, PartsError
 OFFERED = ("dt", "noise")
 KEY, STEP = "noise.key", "noise.step"
 """Entries of the state of a node that asks for noise."""
+EXTRA_DELAY = ".extra_delay"
+"""End of the name of a parameter that every node has for each of its inputs: see `later`."""
 
 
 @lru_cache(maxsize=1024)
@@ -74,7 +76,7 @@ def call_step(
     node: Node, parameters: Parameters, state: State, inputs: dict[str, Input]
 ) -> tuple[State, Tensor]:
     """Run one tick; see `Node.step`."""
-    asked = asked_by(type(node).step)
+    asked, inputs = asked_by(type(node).step), later(parameters, inputs)
     if not asked:
         after, output = node.step(parameters, state, inputs)
         return after, _packed(node, output)
@@ -86,11 +88,35 @@ def call_observe(
     node: Supervisor, parameters: Parameters, state: State, inputs: Mapping[str, Input], action: Tensor
 ) -> tuple[State, dict[str, Tensor]]:
     """Work out the readings of a step; see `Supervisor.observe`."""
-    asked = asked_by(type(node).observe)
+    asked, inputs = asked_by(type(node).observe), later(parameters, inputs)
     if not asked:
         return node.observe(parameters, state, inputs, action)
     after, readings = node.observe(parameters, _own(state), inputs, action, **_given(node, asked, state))
     return _next(state, after), readings
+
+
+def later(parameters: Parameters, inputs: Mapping[str, Input]) -> dict[str, Input]:
+    """The inputs with arrivals that are later by the parameters ``INPUT.extra_delay`` [s], scalars or (B,).
+
+    Which messages a step sees stays as the timing says. Where a node reads when they arrived, a loss can be
+    differentiated with respect to the delay: the hold integral of a world gives an older command a larger part of
+    the tick.
+
+    Raises:
+        GraphError: there is no such input.
+    """
+    found = dict(inputs)
+    for name, delay in parameters.items():
+        own = name.removesuffix(EXTRA_DELAY)
+        if own != name:
+            if own not in found:
+                raise GraphError(
+                    f'parameter "{name}": no input "{own}"; there are {", ".join(found) or "none"}'
+                )
+            shift = delay.to(torch.float64)
+            arrival = found[own].t_received + (shift.unsqueeze(-1) if shift.ndim else shift)
+            found[own] = found[own]._replace(t_received=arrival)
+    return found
 
 
 def _packed(node: Node, output: Any) -> Any:

@@ -30,6 +30,7 @@ from deepkoco.graph.execution.fused.value import (
 )
 
 _NAME = re.compile(r"\bv\d+\b")
+_NUMBER = re.compile(r"splat<V\w>\([^()]*\)")
 _LATE = re.compile(r"\b([ak]\d+|[SXQTAR])\b")
 """Arrays and arguments that the prologue does not have."""
 
@@ -37,14 +38,19 @@ _LATE = re.compile(r"\b([ak]\d+|[SXQTAR])\b")
 class Body:
     """Collects the statements of a function; equal expressions are worked out once.
 
+    Args:
+        name: of the function.
+        folds: leave out sums with 0 and products with 0 or 1, of which derivatives are full, and divide by taking
+            reciprocals. A sum of -0 and 0 may then be -0, a product of 0 and infinity is 0, and a last bit may differ.
+
     Attributes:
         prologue, lines: statements that depend on parameters alone, and the others.
         shared: large constants, by name of the array in the kernel's pool.
         bytes: of the local arrays, per lane.
     """
 
-    def __init__(self, name: str) -> None:
-        self.name = name
+    def __init__(self, name: str, folds: bool = False) -> None:
+        self.name, self.folds = name, folds
         self.lines: list[str] = []
         self.prologue: list[str] = []
         self.shared: dict[str, Tensor] = {}
@@ -60,7 +66,7 @@ class Body:
 
     def emit(self, dtype: torch.dtype, expression: str) -> str:
         """Add a variable with the value of an expression of others and return its name."""
-        if _NAME.fullmatch(expression):
+        if _NAME.fullmatch(expression) or (self.folds and _NUMBER.fullmatch(expression)):
             return expression
         key = VECTORS[dtype], expression
         if key not in self._known:
@@ -84,8 +90,31 @@ class Body:
 
     def quotient(self, a: str, b: str, dtype: torch.dtype) -> str:
         """C++ of a / b; of what is known before the first step, the reciprocal is taken once."""
+        if self.folds and a == self.literal(0, dtype):
+            return a
+        if self.folds and (_NAME.fullmatch(b) or _NUMBER.fullmatch(b)):
+            # The derivative of a quotient divides by the same number several times.
+            return self.product(a, self.emit(dtype, f"(1 / {b})"), dtype)
         early = b in self._early and not (a in self._early or a.startswith("splat"))
         return f"({a} * {self.emit(dtype, f'(1 / {b})')})" if early else f"({a} / {b})"
+
+    def sum(self, a: str, b: str, dtype: torch.dtype, sign: str = "+") -> str:
+        """C++ of a + b or a - b."""
+        zero = self.literal(0, dtype)
+        if self.folds and b == zero:
+            return a
+        if self.folds and a == zero:
+            return b if sign == "+" else f"(-{b})"
+        return f"({a} {sign} {b})"
+
+    def product(self, a: str, b: str, dtype: torch.dtype) -> str:
+        """C++ of a * b."""
+        zero, one = self.literal(0, dtype), self.literal(1, dtype)
+        if self.folds and zero in (a, b):
+            return zero
+        if self.folds and one in (a, b):
+            return b if a == one else a
+        return f"({a} * {b})"
 
     def literal(self, number: float | bool, dtype: torch.dtype) -> str:
         """A constant as a lane vector."""
@@ -229,9 +258,9 @@ class Body:
         ready = array.kind == "local" and array.offset == 0 and array.strides == contiguous(value.shape)
         return value if ready else self.copy(value)
 
-    def copy(self, value: Value) -> Value:
-        """The value in a contiguous array of its own."""
-        return self.pointwise([value], value.dtype, lambda x: x, value.dtype)
+    def copy(self, value: Value, shape: Sequence[int] | None = None) -> Value:
+        """The value in a contiguous array of its own, expanded to a shape."""
+        return self.pointwise([value], value.dtype, lambda x: x, value.dtype, shape=shape)
 
     def finish(self, hoisted: Callable[[torch.dtype], int]) -> tuple[list[str], list[str]]:
         """Statements of the prologue and of the body.

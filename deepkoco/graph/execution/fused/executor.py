@@ -13,6 +13,10 @@ from torch import Tensor
 from deepkoco.graph.execution import cells
 from deepkoco.graph.execution.eager import EagerExecutor
 from deepkoco.graph.execution.executor import NotCompiledError, take_steps
+from deepkoco.graph.execution.fused.adjoint.kernel import AdjointKernel
+from deepkoco.graph.execution.fused.adjoint.leaves import leaves_of, wants_gradients
+from deepkoco.graph.execution.fused.adjoint.rollout import differentiable_rollout
+from deepkoco.graph.execution.fused.adjoint.source import adjoint_source
 from deepkoco.graph.execution.fused.kernel import Binding, Kernel
 from deepkoco.graph.execution.fused.memory import address
 from deepkoco.graph.execution.fused.program import trace_graph
@@ -65,21 +69,45 @@ class FusedExecutor:
         return self.eager.start(setup)
 
     def begin(self, state: RuntimeState, trace: Trace | None = None) -> FusedState:
-        kernel = self._kernel(state)
         if trace is not None:
-            return self._pack(kernel, self.eager.begin(state, trace))
+            return self.adopt(self.eager.begin(state, trace))
+        if wants_gradients(state):
+            return differentiable_rollout(self._with_leaves(state, fresh=True), 0, (), self.threads)[0]
+        kernel = self._kernel(state)
         packed = self._pack(kernel, state)
         kernel.start(packed.binding.model, packed.fixed.address, packed.moving.address)
         return packed
 
     def adopt(self, state: RuntimeState) -> FusedState:
-        return state if isinstance(state, FusedState) else self._pack(self._kernel(state), state)
+        if isinstance(state, FusedState):
+            return state
+        if wants_gradients(state):
+            return self._with_leaves(state)
+        return self._pack(self._kernel(state), state)
+
+    def _with_leaves(self, state: RuntimeState, fresh: bool = False) -> FusedState:
+        """The state on a kernel with a way back, with its numbers as tensors."""
+        if not isinstance(state, FusedState):
+            kernel = self._kernel(state, gradients=True)
+            packed = self._pack(kernel, state)
+            return packed.after(packed.moving, leaves_of(kernel, state, fresh))
+        if state.leaves is not None:
+            return state
+        if state.twin is None:
+            state.__dict__["twin"] = self._with_leaves(state.unpacked())
+        assert state.twin is not None
+        return state.twin
 
     def step(self, state: FusedState, action: Tensor | np.ndarray, trace: Trace | None = None) -> FusedState:
         binding = state.binding
         if trace is not None:
             after = self.eager.step(state.unpacked(), torch.as_tensor(action), trace)
-            return self._pack(binding.kernel, after, state.place)
+            return self.adopt(after)
+        if wants_gradients(state, action if isinstance(action, Tensor) else None):
+            action = torch.as_tensor(action)
+            binding.action(action)
+            start = self._with_leaves(state)
+            return differentiable_rollout(start, 1, (), self.threads, actions=action[None])[0]
         action = binding.action(action)
         moving = binding.allocate()
         spent = binding.kernel.step(
@@ -101,15 +129,31 @@ class FusedExecutor:
         if isinstance(policy, Tensor):
             shape = state.binding.action_shape[1:]
             given = given_actions(policy, state, steps, shape)
+            if wants_gradients(state, given):
+                start = self._with_leaves(state)
+                return differentiable_rollout(start, steps, record, self.threads, actions=given)
             return run_rollout(state, steps, record, self.threads, actions=given)
         function, values = as_function(policy, parameters)
+        if wants_gradients(state, *values.values()):
+            return self._steps(self._with_leaves(state), function, values, steps, record)
         compiled = self._policy(state, function, values)
         if compiled is not None:
             weights = compiled.pack(values)
             return run_rollout(state, steps, record, self.threads, policy=compiled, weights=weights)
+        with torch.no_grad():
+            return self._steps(state, function, values, steps, record)
+
+    def _steps(
+        self,
+        state: FusedState,
+        function: PolicyFunction,
+        values: Mapping[str, Tensor],
+        steps: int,
+        record: tuple[str, ...],
+    ) -> tuple[FusedState, dict[str, Tensor]]:
+        """Call a policy between the steps."""
         HorizonError.check(state, steps)
 
-        @torch.no_grad()
         def decide(state: FusedState, k: int) -> Tensor:
             return function(values, state.readings or self.inputs(state))
 
@@ -139,13 +183,14 @@ class FusedExecutor:
         return LazyInputs(state.binding.input_names, lambda: self.eager.inputs(state.unpacked()))
 
     def merge(self, running: FusedState, fresh: FusedState, mask: np.ndarray) -> FusedState:
-        if running.binding is not fresh.binding:
+        leaves = running.leaves is not None or fresh.leaves is not None
+        if leaves or running.binding is not fresh.binding:
             merged = self.eager.merge(running.unpacked(), fresh.unpacked(), mask)
-            return self._pack(fresh.binding.kernel, merged)
+            return self.adopt(merged)
         return self._merge_records(running, fresh, mask)
 
-    def _kernel(self, state: RuntimeState) -> Kernel:
-        """The graph's machine code for states of this shape.
+    def _kernel(self, state: RuntimeState, gradients: bool = False) -> Kernel:
+        """The graph's machine code for states of this shape, with the way back if gradients are wanted.
 
         Raises:
             NotCompiledError: the graph cannot be compiled.
@@ -155,6 +200,7 @@ class FusedExecutor:
         parts["outputs"] = {name: own[0] for name, own in state.outputs.items()}
         signature = (
             lanes,
+            gradients,
             *(
                 (name, key, value.dtype, value.ndim > 0 and value.shape[1:], value.ndim)
                 for name, values in parts.items()
@@ -162,19 +208,22 @@ class FusedExecutor:
             ),
         )
         if signature not in self._kernels:
-            programs = trace_graph(
-                self.graph, state.parameters, state.nodes, {n: own[0] for n, own in state.outputs.items()}
-            )
+            outputs = {n: own[0] for n, own in state.outputs.items()}
+            programs = trace_graph(self.graph, state.parameters, state.nodes, outputs, gradients)
             double = any(program.output[0] == torch.float64 for program in programs)
-            source = kernel_source(self.graph, programs, lanes or (8 if double else 16))
-            self._kernels[signature] = Kernel(self.graph, programs, source)
+            write, kind = (adjoint_source, AdjointKernel) if gradients else (kernel_source, Kernel)
+            source = write(self.graph, programs, lanes or (8 if double else 16))
+            self._kernels[signature] = kind(self.graph, programs, source)
         return self._kernels[signature]
 
     def _bind(self, kernel: Kernel, schedule: Schedule, batch: int) -> Binding:
         key = id(kernel), id(schedule), batch
         found = self._bindings.get(key)
         if found is None or found.schedule is not schedule:
-            self._bindings.clear()  # one schedule at a time is in use, all but always
+            # One schedule at a time is in use, all but always, with gradients or without.
+            for old, binding in list(self._bindings.items()):
+                if binding.schedule is not schedule or binding.batch != batch:
+                    del self._bindings[old]
             found = self._bindings[key] = Binding(kernel, schedule, batch)
         return found
 

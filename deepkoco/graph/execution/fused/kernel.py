@@ -74,7 +74,7 @@ class Kernel:
 
     def __init__(self, graph: Graph, programs: list[Program], source: KernelSource) -> None:
         self.graph, self.programs, self.source, self.lanes = graph, programs, source, source.lanes
-        library = load(source.text)
+        self.library = library = load(source.text)
         pointer = ctypes.c_void_p
         self.step, self.start, self.rollout = library.step, library.start, library.rollout
         self.step.argtypes, self.step.restype = [pointer] * 5, ctypes.c_int64
@@ -90,10 +90,12 @@ class Binding:
         readings: where a moving record of one lane has the supervisor's readings.
         fixed_size, moving_size: of the records [bytes per lane].
         model: pointer to the tables.
+        spare: memory of tapes that are no longer needed.
     """
 
     def __init__(self, kernel: Kernel, schedule: Schedule, batch: int) -> None:
         self.kernel, self.schedule, self.batch = kernel, schedule, batch
+        self.spare: list[np.ndarray] = []
         self.blocks = -(-batch // kernel.lanes)
         graph, source, timing = kernel.graph, kernel.source, schedule.timing
         layout = timing.layout

@@ -53,12 +53,14 @@ def trace_graph(
     parameters: Mapping[str, Mapping[str, Tensor]],
     states: Mapping[str, Mapping[str, Tensor]],
     outputs: Mapping[str, Tensor],
+    gradients: bool = False,
 ) -> list[Program]:
     """Trace every node of a graph.
 
     Args:
         graph: nodes and connections.
         parameters, states, outputs: by node name, what `reset` starts with, (B, ...).
+        gradients: trace what the functions do where gradients are wanted.
 
     Raises:
         TraceError: names the node and the operation that cannot be compiled.
@@ -66,7 +68,8 @@ def trace_graph(
     sent = {name: one(output) for name, output in outputs.items()}
     for _ in range(4):
         programs = [
-            _program(graph, node, parameters[node.name], states[node.name], sent) for node in graph.nodes
+            _program(graph, node, parameters[node.name], states[node.name], sent, gradients)
+            for node in graph.nodes
         ]
         types = {n.name: p.output[0] for n, p in zip(graph.nodes, programs, strict=True)}
         if all(sent[name].dtype == dtype for name, dtype in types.items()):
@@ -81,6 +84,7 @@ def _program(
     parameters: Mapping[str, Tensor],
     state: Mapping[str, Tensor],
     sent: Mapping[str, Tensor],
+    gradients: bool,
 ) -> Program:
     edges = graph.inputs_of(node.name)
     for key, value in (*parameters.items(), *state.items(), ("output", sent[node.name])):
@@ -109,7 +113,7 @@ def _program(
             results = {"output": output}
         return {f"s.{key}": value for key, value in after.items()} | results
 
-    found = traced(f'node "{node.name}"', function, examples)
+    found = traced(f'node "{node.name}"', function, examples, gradients)
     after = {name: _example(value) for name, value in found.outputs.items()}
     for key, value in own.items():
         new = after.get(f"s.{key}")
@@ -134,16 +138,35 @@ def _program(
 
 
 def traced(
-    who: str, function: Callable[[dict[str, Tensor]], dict[str, Tensor]], examples: dict[str, Tensor]
+    who: str,
+    function: Callable[[dict[str, Tensor]], dict[str, Tensor]],
+    examples: dict[str, Tensor],
+    gradients: bool = False,
 ) -> Trace:
-    """Trace a function; say whose it was if that fails."""
+    """Trace a function, as it runs where gradients are wanted or not; say whose it was if that fails."""
     try:
-        return trace(function, examples)
+        return trace(differentiated(function) if gradients else function, examples, gradients)
     except TraceError as error:
         raise TraceError(f"{who}: {error}") from None
     except Exception as error:
         # Its own mistake, which it makes in the eager executor too, or one of the tracing, which it does not.
         raise TraceError(f"{who}: {type(error).__name__}: {error}") from error
+
+
+def differentiated(
+    function: Callable[[dict[str, Tensor]], dict[str, Tensor]],
+) -> Callable[[dict[str, Tensor]], dict[str, Tensor]]:
+    """The function as it runs while gradients are wanted with respect to every number that it is given."""
+
+    def run(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
+        numbers = {name: value for name, value in tensors.items() if value.is_floating_point()}
+        # Its results are handed through beside a dummy: they may be integers, which have no gradient.
+        found: Any = torch.func.vjp(
+            lambda own: (torch.zeros(()), function(tensors | own)), numbers, has_aux=True
+        )
+        return found[2]
+
+    return run
 
 
 def input_examples(edges: tuple[Connection, ...], sent: Mapping[str, Tensor]) -> dict[str, Tensor]:

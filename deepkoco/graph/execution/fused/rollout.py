@@ -1,15 +1,16 @@
 """Rollouts inside a kernel, with a compiled policy or given actions."""
 
 import ctypes
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from deepkoco.graph.execution.fused.compiler import load
-from deepkoco.graph.execution.fused.kernel import Kernel, RolloutCall
+from deepkoco.graph.execution.fused.kernel import Binding, Kernel, RolloutCall
 from deepkoco.graph.execution.fused.memory import address
 from deepkoco.graph.execution.fused.policy_source import policy_source
 from deepkoco.graph.execution.fused.program import input_examples, make_inputs, part, traced
@@ -73,49 +74,84 @@ def run_rollout(
 ) -> tuple[FusedState, dict[str, Tensor]]:
     """Take steps with a policy or with given actions; nothing is done if an environment has too few left."""
     binding = state.binding
-    source, batch = binding.kernel.source, binding.batch
     moving = binding.allocate()
-    taken = {
-        name: torch.empty(steps, *binding.action_shape, dtype=binding.action_type)
-        if name == "action"
-        else torch.empty(steps, batch, *source.readings[name].shape, dtype=source.readings[name].dtype)
-        for name in record
-    }
-    readings = [name for name in record if name != "action"]
-    fields = [source.readings[name] for name in readings]
-    columns = [
-        np.array([getattr(field, name) for field in fields], dtype=np.int64)
-        for name in ("offset", "count", "size")
-    ]
-    targets = np.array([taken[name].data_ptr() for name in readings], dtype=np.int64)
-    call = RolloutCall(steps=steps, first=0, last=binding.blocks, outputs=len(readings))
-    call.reading_offset, call.reading_count, call.reading_size, call.out_readings = (
-        address(array) for array in (*columns, targets)
-    )
-    call.out_actions = taken["action"].data_ptr() if "action" in taken else None
+    given = BlockCall(binding, steps, [name for name in record if name != "action"], actions)
+    taken = dict(given.taken)
+    call = given.struct
+    if "action" in record:
+        taken["action"] = torch.empty(steps, *binding.action_shape, dtype=binding.action_type)
+        call.out_actions = taken["action"].data_ptr()
     if policy is not None:
         assert weights is not None
         call.policy, call.weights, call.looks = policy.address, address(weights), policy.looks
-    if actions is not None:
-        actions = actions.detach().to("cpu", binding.action_type).contiguous()
-        size = actions[0, 0].numel() * actions.element_size()
-        call.actions, call.action_time = actions.data_ptr(), size * actions.shape[1]
-        call.action_environment = size if actions.shape[1] > 1 else 0
-
-    def run(first: int, last: int) -> int:
-        own = RolloutCall.from_buffer_copy(call)
-        own.first, own.last = first, last
-        return binding.kernel.rollout(
-            binding.model, state.fixed.address, state.moving.address, moving.address, ctypes.addressof(own)
-        )
-
-    bounds = np.linspace(0, binding.blocks, min(threads, binding.blocks) + 1).astype(int).tolist()
-    if len(bounds) == 2:
-        spent = run(*bounds)
-    else:
-        with ThreadPoolExecutor(len(bounds) - 1) as pool:
-            found = list(pool.map(run, bounds[:-1], bounds[1:]))
-            spent = min((environment for environment in found if environment >= 0), default=-1)
+    spent = over_blocks(
+        binding,
+        threads,
+        lambda first, last, _: binding.kernel.rollout(
+            binding.model, state.fixed.address, state.moving.address, moving.address, given.part(first, last)
+        ),
+    )
     if spent >= 0:
         raise HorizonError.of(spent, state.schedule, int(state.steps_left[spent]), steps)
-    return state.after(moving), taken
+    return state.after(moving), {name: taken[name] for name in record}
+
+
+class BlockCall:
+    """What a kernel is told of a rollout, and where it writes the readings.
+
+    Args:
+        binding: the kernel and its tables.
+        steps: number of actions.
+        readings: names of those to record.
+        actions: (steps, B or 1, M), where they are given.
+
+    Attributes:
+        struct: as the kernel reads it.
+        taken: (steps, B, ...) by name.
+    """
+
+    def __init__(self, binding: Binding, steps: int, readings: Sequence[str], actions: Tensor | None) -> None:
+        source = binding.kernel.source
+        fields = [source.readings[name] for name in readings]
+        self.taken = {
+            name: torch.empty(steps, binding.batch, *field.shape, dtype=field.dtype)
+            for name, field in zip(readings, fields, strict=True)
+        }
+        columns = [
+            np.array([getattr(field, name) for field in fields], dtype=np.int64)
+            for name in ("offset", "count", "size")
+        ]
+        targets = np.array([value.data_ptr() for value in self.taken.values()], dtype=np.int64)
+        self.struct = call = RolloutCall(steps=steps, first=0, last=binding.blocks, outputs=len(fields))
+        call.reading_offset, call.reading_count, call.reading_size, call.out_readings = (
+            address(array) for array in (*columns, targets)
+        )
+        if actions is not None:
+            actions = actions.detach().to("cpu", binding.action_type).contiguous()
+            size = actions[0, 0].numel() * actions.element_size()
+            call.actions, call.action_time = actions.data_ptr(), size * actions.shape[1]
+            call.action_environment = size if actions.shape[1] > 1 else 0
+        self._kept: list[Any] = [columns, targets, actions]
+
+    def part(self, first: int, last: int) -> int:
+        """Address of the same call for some of the blocks; it lives as long as this object."""
+        own = RolloutCall.from_buffer_copy(self.struct)
+        own.first, own.last = first, last
+        self._kept.append(own)
+        return ctypes.addressof(own)
+
+
+def over_blocks(binding: Binding, threads: int, run: Callable[[int, int, int], int]) -> int:
+    """Run blocks first to last in each of some threads; return the first environment that is short of steps, or -1.
+
+    Args:
+        binding: says how many blocks there are.
+        threads: how many.
+        run: from the first block, the one behind the last and the number of the thread to such an environment.
+    """
+    if threads == 1 or binding.blocks == 1:
+        return run(0, binding.blocks, 0)
+    bounds = np.linspace(0, binding.blocks, min(threads, binding.blocks) + 1).astype(int).tolist()
+    with ThreadPoolExecutor(len(bounds) - 1) as pool:
+        found = list(pool.map(run, bounds[:-1], bounds[1:], range(len(bounds) - 1)))
+    return min((environment for environment in found if environment >= 0), default=-1)

@@ -1,6 +1,6 @@
 """The C++ text of a graph's kernel, and where its numbers lie."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,6 +44,7 @@ class KernelSource:
         state_span: by node, where its moving state starts and the elements of 8, 4 and 1 byte [bytes per lane].
         staged: by node, whether its new state must not be written over the old one at once.
         uses: by node, names of the trace's inputs that it reads.
+        same: by node whose output is one of its new states, where that lies in its moving state [bytes per lane].
     """
 
     text: str
@@ -59,10 +60,18 @@ class KernelSource:
     state_start: dict[str, int]
     staged: dict[str, bool]
     uses: dict[str, set[str]]
+    same: dict[str, int]
 
 
-def kernel_source(graph: Graph, programs: list[Program], lanes: int) -> KernelSource:
+def kernel_source(
+    graph: Graph, programs: list[Program], lanes: int, more: Callable[["Bodies"], str] | None = None
+) -> KernelSource:
     """Write the kernel of a graph.
+
+    Args:
+        graph, programs: nodes, connections and traces.
+        lanes: environments of a block.
+        more: adds bodies of its own and returns what stands behind the kernel.
 
     Raises:
         TraceError: names the node and the operation that has no C++.
@@ -80,18 +89,16 @@ def kernel_source(graph: Graph, programs: list[Program], lanes: int) -> KernelSo
     reading_start = end
     supervisor = by_name[graph.supervisor]
     readings, reading_size = lay_out(supervisor.readings)
-    pool, hoisted = Pool(), _Hoisted()
-    texts, prologues, staged, uses, deepest = [], [], {}, {}, 0
+    bodies = Bodies(graph, by_name, moving, state_start, fixed)
+    staged, uses, same = {}, {}, {}
     for index, (n, p) in enumerate(by_name.items()):
         staged[n], uses[n] = False, set()
         if p.trace is None:
             continue
         body = Body(n)
-        places = {key: place for (kind, m, key), place in fixed.items() if kind == "p" and m == n}
-        kept = {key: place for (kind, m, key), place in fixed.items() if kind == "s" and m == n}
-        own = {key: place for (m, key), place in moving.items() if m == n}
+        own = bodies.states_of(n)
         uses[n] = p.trace.used()
-        inputs = _node_inputs(body, graph, n, p.trace, uses[n], places, kept, own, state_start[n])
+        inputs = bodies.inputs_of(body, n, p.trace)
         outputs = lower_trace(body, f'node "{n}"', p.trace, inputs)
         staged[n] = any(outputs[f"s.{k}"].array or inputs[f"s.{k}"].array for k in own if f"s.{k}" in inputs)
         for key, place in own.items():
@@ -100,28 +107,29 @@ def kernel_source(graph: Graph, programs: list[Program], lanes: int) -> KernelSo
             store_tensor(body, f"Y + {place.offset} * W", outputs[f"r.{key}"])
         if "output" in outputs:
             store_tensor(body, "Y", outputs["output"])
-        deepest = max(deepest, body.bytes)
-        early, lines = body.finish(hoisted.place)
-        prologues += [f"  {{ // {n}", *(f"    {line}" for line in early), "  }"] if early else []
-        texts += [f"static void body_{index}({_ARGUMENTS}) {{ // {n}"]
-        texts += [f"  {line}" for line in pool_lines(body, pool, "K")]
-        texts += [f"  {line}" for line in lines] + ["}", ""]
+            for key, place in own.items():
+                if outputs[f"s.{key}"].array is None and outputs[f"s.{key}"] == outputs["output"]:
+                    same[n] = place.offset - state_start[n]
+        bodies.add(f"body_{index}({_ARGUMENTS})", body)
+    behind = more(bodies) if more is not None else ""
     windows = [sum(c.window for c in graph.inputs_of(node.name)) for node in graph.nodes]
     sizes = {node.name: _bytes(by_name[node.name].output) for node in graph.nodes}
     stage = [sum(c.window * sizes[c.sender] for c in graph.inputs_of(node.name)) for node in graph.nodes]
     spans = np.diff([*state_start.values(), end])
-    bodies = ", ".join("nullptr" if p.trace is None else f"body_{i}" for i, p in enumerate(programs))
+    table = ", ".join("nullptr" if p.trace is None else f"body_{i}" for i, p in enumerate(programs))
     defines = {
+        "NODES": len(programs),
         "PLACES": max(1, *windows),
         "STAGE": max(8, *stage),
         "STATE": max(8, *spans.tolist()),
         "OUTPUT": max(8, *sizes.values()),
         "ACTION": max(8, sizes[graph.supervisor]),
-        "HOISTED": max(8, hoisted.size),
+        "READINGS": max(8, reading_size),
+        "HOISTED": max(8, bodies.hoisted.size),
         "OBSERVES": int(supervisor.trace is not None),
     }
     check_stack(
-        lanes * (deepest + sum(defines[k] for k in ("STAGE", "STATE", "OUTPUT", "ACTION", "HOISTED")))
+        lanes * (bodies.deepest + sum(defines[k] for k in ("STAGE", "STATE", "OUTPUT", "ACTION", "HOISTED")))
     )
     text = "\n".join(
         [
@@ -129,20 +137,21 @@ def kernel_source(graph: Graph, programs: list[Program], lanes: int) -> KernelSo
             header_text("lanes.h"),
             header_text("functions.h"),
             *(f"#define {name} {number}" for name, number in defines.items()),
-            *texts,
+            *bodies.texts,
             f"typedef void (*Body)({_ARGUMENTS});",
-            f"static const Body BODIES[] = {{{bodies}}};",
+            f"static const Body BODIES[] = {{{table}}};",
             "static void prologue(const char *P, char *H) {",
-            *prologues,
+            *bodies.prologues,
             "}",
             header_text("model.h"),
             header_text("driver.h"),
+            behind,
         ]
     )
     return KernelSource(
         text=text,
         lanes=lanes,
-        constants=pool.join(),
+        constants=bodies.pool.join(),
         parameters={(n, key): place for (kind, n, key), place in fixed.items() if kind == "p"},
         fixed={(n, key): place for (kind, n, key), place in fixed.items() if kind == "s"},
         moving=moving,
@@ -153,10 +162,78 @@ def kernel_source(graph: Graph, programs: list[Program], lanes: int) -> KernelSo
         state_start=state_start,
         staged=staged,
         uses=uses,
+        same=same,
     )
 
 
-class _Hoisted:
+class Bodies:
+    """The functions of a kernel, as they are written one after the other.
+
+    Args:
+        graph, programs: nodes, connections and traces, by node name.
+        moving, state_start: where the states lie, and those of each node begin.
+        fixed: where parameters ("p", node, name) and constant states ("s", node, name) lie.
+
+    Attributes:
+        texts: C++ of the functions.
+        prologues: statements that run once for a rollout, before the first step.
+        pool, hoisted: large constants, and places for what the prologue hands to the functions.
+        deepest: most bytes per lane that a function takes from the stack.
+    """
+
+    def __init__(
+        self,
+        graph: Graph,
+        programs: Mapping[str, Program],
+        moving: Mapping[tuple[str, str], Field],
+        state_start: Mapping[str, int],
+        fixed: Mapping[tuple[str, str, str], Field],
+    ) -> None:
+        self.graph, self.programs = graph, programs
+        self.moving, self.state_start, self.fixed = moving, state_start, fixed
+        self.texts: list[str] = []
+        self.prologues: list[str] = []
+        self.pool, self.hoisted, self.deepest = Pool(), Hoisted(), 0
+
+    def add(self, head: str, body: Body) -> None:
+        """Append a finished body as a function with this name and these arguments."""
+        self.deepest = max(self.deepest, body.bytes)
+        early, lines = body.finish(self.hoisted.place)
+        self.add_prologue(body.name, early)
+        self.texts += [f"static void {head} {{ // {body.name}"]
+        self.texts += [f"  {line}" for line in pool_lines(body, self.pool, "K")]
+        self.texts += [f"  {line}" for line in lines] + ["}", ""]
+
+    def add_prologue(self, name: str, lines: list[str]) -> None:
+        """Append statements in a scope of their own to the prologue."""
+        if lines:
+            self.prologues += [f"  {{ // {name}", *(f"    {line}" for line in lines), "  }"]
+
+    def states_of(self, name: str) -> dict[str, Field]:
+        """Where the moving states of a node lie."""
+        return {key: place for (n, key), place in self.moving.items() if n == name}
+
+    def fixed_of(self, name: str) -> dict[str, Field]:
+        """Where what does not change during a rollout lies, by the name of the trace's input."""
+        return {f"{kind}.{key}": place for (kind, n, key), place in self.fixed.items() if n == name}
+
+    def inputs_of(self, body: Body, name: str, trace: Trace) -> dict[str, Value]:
+        """Load the inputs that a trace of a node reads."""
+        uses = trace.used()
+        inputs = seen_messages(body, self.graph, name, trace, uses)
+        for key, place in self.fixed_of(name).items():
+            if key in uses:
+                inputs[key] = load_tensor(body, f"P + {place.offset} * W", trace.inputs[key], early=True)
+        for key, place in self.states_of(name).items():
+            if f"s.{key}" in uses:
+                pointer = f"S + {place.offset - self.state_start[name]} * W"
+                inputs[f"s.{key}"] = load_tensor(body, pointer, trace.inputs[f"s.{key}"])
+        if "action" in uses:
+            inputs["action"] = load_tensor(body, "A", trace.inputs["action"])
+        return inputs
+
+
+class Hoisted:
     """Places for what the prologue hands to the bodies."""
 
     def __init__(self) -> None:
@@ -166,38 +243,6 @@ class _Hoisted:
         start = self.size
         self.size += 8
         return start
-
-
-def _node_inputs(
-    body: Body,
-    graph: Graph,
-    name: str,
-    trace: Trace,
-    uses: set[str],
-    parameters: Mapping[str, Field],
-    constants: Mapping[str, Field],
-    states: Mapping[str, Field],
-    state_start: int,
-) -> dict[str, Value]:
-    inputs = seen_messages(body, graph, name, trace, uses)
-    for key, place in parameters.items():
-        if f"p.{key}" in uses:
-            inputs[f"p.{key}"] = load_tensor(
-                body, f"P + {place.offset} * W", trace.inputs[f"p.{key}"], early=True
-            )
-    for key, place in constants.items():
-        if f"s.{key}" in uses:
-            inputs[f"s.{key}"] = load_tensor(
-                body, f"P + {place.offset} * W", trace.inputs[f"s.{key}"], early=True
-            )
-    for key, place in states.items():
-        if f"s.{key}" in uses:
-            inputs[f"s.{key}"] = load_tensor(
-                body, f"S + {place.offset - state_start} * W", trace.inputs[f"s.{key}"]
-            )
-    if "action" in uses:
-        inputs["action"] = load_tensor(body, "A", trace.inputs["action"])
-    return inputs
 
 
 def _bytes(kind: Spec) -> int:

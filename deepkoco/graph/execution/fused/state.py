@@ -1,6 +1,7 @@
 """States of the fused executor: flat buffers, unpacked when they are looked at."""
 
 from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,6 +13,8 @@ from deepkoco.graph.execution.fused.memory import Memory
 from deepkoco.graph.execution.fused.record import NUMBER, NUMPY, Field, Records
 from deepkoco.graph.execution.state import RuntimeState
 from deepkoco.graph.model.node import State
+
+Leaves = Mapping[tuple[str, ...], Tensor]
 
 
 class Place:
@@ -43,12 +46,19 @@ class FusedState(RuntimeState):
         place: lanes of the environments.
         parameters: as they were given.
         fixed, moving: records of the blocks; `fixed` is shared by all states of an episode.
+        leaves: the same numbers as tensors (B, ...) with gradients, where these are wanted: states ("s", node, name),
+            last outputs ("o", node), oldest first, and readings ("r", name).
+        twin: the same state with leaves, once one has been made.
+        layouts: by number of steps, those of tapes that begin here.
     """
 
     binding: Binding
     place: Place
     fixed: Memory
     moving: Memory
+    leaves: Leaves | None
+    twin: "FusedState | None"
+    layouts: dict[int, Any]
 
     def __init__(
         self,
@@ -60,12 +70,14 @@ class FusedState(RuntimeState):
         moving: Memory,
     ) -> None:
         self.__dict__.update(binding=binding, place=place, row=row, parameters=parameters)
-        self.__dict__.update(schedule=binding.schedule, fixed=fixed, moving=moving)
+        self.__dict__.update(
+            schedule=binding.schedule, fixed=fixed, moving=moving, leaves=None, twin=None, layouts={}
+        )
 
-    def after(self, moving: Memory) -> "FusedState":
+    def after(self, moving: Memory, leaves: Leaves | None = None) -> "FusedState":
         """The same environments with other moving records."""
         state = object.__new__(FusedState)
-        state.__dict__.update(self.__dict__, moving=moving)
+        state.__dict__.update(self.__dict__, moving=moving, leaves=leaves, twin=None, layouts={})
         return state
 
     @property
@@ -90,9 +102,12 @@ class FusedState(RuntimeState):
     def nodes(self) -> dict[str, State]:
         source, kernel = self.binding.kernel.source, self.binding.kernel
         fixed, moving = self.records
+        leaves = self.leaves or {}
         return {
             node.name: {
-                key: fixed.unpack(source.fixed[node.name, key], self.place.lane_of)
+                key: leaves["s", node.name, key]
+                if ("s", node.name, key) in leaves
+                else fixed.unpack(source.fixed[node.name, key], self.place.lane_of)
                 if (node.name, key) in source.fixed
                 else moving.unpack(source.moving[node.name, key], self.place.lane_of)
                 for key in program.state
@@ -105,11 +120,16 @@ class FusedState(RuntimeState):
         kernel, step, (_, moving) = self.binding.kernel, self.step, self.records
         result = {}
         for position, node in enumerate(kernel.graph.nodes):
+            depth = int(self.schedule.depth[position])
+            written = self.schedule.executed[self.row, step, position].astype(np.int64)
+            if self.leaves and ("o", node.name) in self.leaves:
+                history = self.leaves["o", node.name]
+                result[node.name] = cells.rotate(history, -written).unbind(dim=1)
+                continue
             ring = self.binding.rings[node.name]
             field = Field(*kernel.programs[position].output, ring.offset)
             own = tuple(moving.unpack(field, self.place.lane_of, cell) for cell in range(ring.cells))
-            written = self.schedule.executed[self.row, step, position].astype(np.int64)
-            result[node.name] = cells.resize(own, int(self.schedule.depth[position]), written)
+            result[node.name] = cells.resize(own, depth, written)
         return result
 
     @property
@@ -118,6 +138,8 @@ class FusedState(RuntimeState):
 
     def reading(self, name: str) -> Tensor:
         """One reading, (B, ...)."""
+        if self.leaves and ("r", name) in self.leaves:
+            return self.leaves["r", name]
         field = self.binding.readings[name]
         if self.binding.batch == self.binding.kernel.lanes == 1:
             numbers = self.moving.view(NUMPY[field.dtype], field.count, field.offset)

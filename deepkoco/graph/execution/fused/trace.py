@@ -38,6 +38,10 @@ class Call:
     options: dict[str, Any]
     outputs: tuple[Ref, ...]
 
+    def reads(self) -> list[Ref]:
+        """The tensors that it depends on."""
+        return leaves((self.arguments, self.options), Ref)
+
 
 @dataclass(frozen=True)
 class Trace:
@@ -57,29 +61,33 @@ class Trace:
         """Names of the inputs that any operation or output reads."""
         refs: set[int] = {id(value) for value in self.outputs.values()}
         for call in self.calls:
-            refs |= {id(value) for value in _leaves((call.arguments, call.options), Ref)}
+            refs |= {id(ref) for ref in call.reads()}
         return {name for name, ref in self.inputs.items() if id(ref) in refs}
 
 
 _PYTHON_READS = {"numpy", "__array__", "tolist", "data_ptr", "__dlpack__", "untyped_storage"}
 _VALUE_READS = ("aten._local_scalar_dense", "aten.item", "aten.is_nonzero", "aten.equal", "aten.nonzero")
 _ALIASES = ("aten.detach.default", "aten.alias.default", "aten.lift_fresh.default", "aten.lift.default")
+_DETACH = "aten.detach.default"
 
 
 def trace(
-    function: Callable[[dict[str, Tensor]], Mapping[str, Tensor]], examples: Mapping[str, Tensor]
+    function: Callable[[dict[str, Tensor]], Mapping[str, Tensor]],
+    examples: Mapping[str, Tensor],
+    gradients: bool = False,
 ) -> Trace:
     """Run a function on examples and take down what it does.
 
     Args:
         function: pure, from named tensors to named tensors.
         examples: tensors (1, ...) by name; what counts is their shapes and types.
+        gradients: keep `detach` as an operation of its own, because gradients end there.
 
     Raises:
         TraceError: the function looks at the values of tensors, draws random numbers, writes into its
             inputs or reads a tensor that requires gradients and is none of them.
     """
-    recorder = _Recorder(examples)
+    recorder = _Recorder(examples, gradients)
     with torch.no_grad(), _Guard(), recorder:
         outputs = torch.func.functionalize(function)(dict(examples))
     return Trace(
@@ -99,8 +107,9 @@ class _Guard(TorchFunctionMode):
 
 
 class _Recorder(TorchDispatchMode):
-    def __init__(self, examples: Mapping[str, Tensor]) -> None:
+    def __init__(self, examples: Mapping[str, Tensor], gradients: bool) -> None:
         super().__init__()
+        self.gradients = gradients
         self.inputs = {name: Ref(tensor) for name, tensor in examples.items()}
         self.refs: dict[int, Ref] = {id(ref.example): ref for ref in self.inputs.values()}
         self.calls: list[Call] = []
@@ -115,11 +124,11 @@ class _Recorder(TorchDispatchMode):
         name = str(func)
         if torch.Tag.nondeterministic_seeded in func.tags:
             raise TraceError(f"{name} draws random numbers; ask for noise: def step(..., *, noise)")
-        known = [self.refs[id(leaf)] for leaf in _leaves((args, kwargs), Tensor) if id(leaf) in self.refs]
+        known = [self.refs[id(leaf)] for leaf in leaves((args, kwargs), Tensor) if id(leaf) in self.refs]
         if known and name.startswith(_VALUE_READS):
             raise TraceError(f"{name} takes a value out of a tensor; use torch.where instead of if")
         result = func(*args, **kwargs)
-        if any(leaf.requires_grad and id(leaf) not in self.refs for leaf in _leaves((args, kwargs), Tensor)):
+        if any(leaf.requires_grad and id(leaf) not in self.refs for leaf in leaves((args, kwargs), Tensor)):
             # A kernel would keep the numbers of today while training goes on.
             raise TraceError(
                 f"{name} reads a tensor that requires gradients and is no argument; hand it over with the "
@@ -127,13 +136,13 @@ class _Recorder(TorchDispatchMode):
             )
         if not known:
             return result
-        if name in _ALIASES:
+        if name in _ALIASES and not (self.gradients and name == _DETACH):
             self.refs[id(result)] = known[0]
             self.alive.append(result)  # so that no other tensor gets its id
             return result
         if func._schema.is_mutable:
             raise TraceError(f"{name} writes into an input")
-        outputs = tuple(Ref(leaf) for leaf in _leaves(result, Tensor))
+        outputs = tuple(Ref(leaf) for leaf in leaves(result, Tensor))
         self.refs |= {id(ref.example): ref for ref in outputs}
         self.calls.append(Call(name, func, self._refer(args), self._refer(kwargs), outputs))
         return result
@@ -148,12 +157,12 @@ class _Recorder(TorchDispatchMode):
         return value
 
 
-def _leaves(value: Any, kind: type) -> list[Any]:
+def leaves(value: Any, kind: type) -> list[Any]:
     """All objects of one type in nested lists, tuples and dicts."""
     if isinstance(value, kind):
         return [value]
     if isinstance(value, dict):
         value = tuple(value.values())
     if isinstance(value, (list, tuple)):
-        return [leaf for item in value for leaf in _leaves(item, kind)]
+        return [leaf for item in value for leaf in leaves(item, kind)]
     return []

@@ -6,6 +6,7 @@ import torch
 
 from deepkoco.graph.execution.fused.body import Body
 from deepkoco.graph.execution.fused.operations.common import Lowering
+from deepkoco.graph.execution.fused.operations.derivatives import DERIVATIVES
 from deepkoco.graph.execution.fused.operations.pointwise import pointwise
 from deepkoco.graph.execution.fused.operations.reductions import REDUCTIONS
 from deepkoco.graph.execution.fused.operations.views import view
@@ -49,4 +50,4 @@ def lower(body: Body, call: Call, values: dict[int, Value]) -> None:
 
 
 def _find(name: str) -> Lowering | None:
-    return pointwise(name) or view(name) or REDUCTIONS.get(name)
+    return pointwise(name) or view(name) or REDUCTIONS.get(name) or DERIVATIVES.get(name)

@@ -18,6 +18,8 @@ def pointwise(name: str) -> Lowering | None:
         return _unary(UNARY[name])
     if name in BINARY:
         return _binary(BINARY[name])
+    if name == "mul":
+        return _mul
     if name in LOGICAL:
         return _logical(LOGICAL[name])
     return OTHERS.get(name)
@@ -39,8 +41,7 @@ def _binary(template: str) -> Lowering:
     def function(body: Body, call: Call, x: Any, y: Any, **options: Any) -> Value:
         compute, operands = common_type(body, call, x, y)
         dtype = supported(call.outputs[0].example.dtype)
-        own = template.replace("*", "&") if compute == torch.bool else template
-        return body.pointwise(operands, compute, lambda a, b: own.format(a, b), dtype)
+        return body.pointwise(operands, compute, template.format, dtype)
 
     return function
 
@@ -70,8 +71,18 @@ def _sum(body: Body, call: Call, x: Any, y: Any, sign: str, alpha: float) -> Val
     compute, operands = common_type(body, call, x, y)
     if compute == torch.bool:
         raise TraceError(f"{call.name} of booleans")
-    scale = "" if alpha == 1 else f" * {body.literal(alpha, compute)}"
-    return body.pointwise(operands, compute, lambda a, b: f"({a} {sign} {b}{scale})", compute)
+    if alpha == 1:
+        return body.pointwise(operands, compute, lambda a, b: body.sum(a, b, compute, sign), compute)
+    scale = body.literal(alpha, compute)
+    return body.pointwise(operands, compute, lambda a, b: f"({a} {sign} {b} * {scale})", compute)
+
+
+def _mul(body: Body, call: Call, x: Any, y: Any, **options: Any) -> Value:
+    compute, operands = common_type(body, call, x, y)
+    dtype = supported(call.outputs[0].example.dtype)
+    if compute == torch.bool:
+        return body.pointwise(operands, compute, "({0} & {1})".format, dtype)
+    return body.pointwise(operands, compute, lambda a, b: body.product(a, b, compute), dtype)
 
 
 def _div(body: Body, call: Call, x: Any, y: Any, rounding_mode: str | None = None) -> Value:
@@ -141,6 +152,11 @@ def _convert(body: Body, call: Call, x: Value, *rest: Any, **options: Any) -> Va
 def _full(body: Body, call: Call, x: Value, *rest: Any, **options: Any) -> Value:
     """zeros_like and its relatives: the example holds what they give, whatever the input."""
     return body.constant(call.outputs[0].example)
+
+
+def _empty(body: Body, call: Call, x: Value, *rest: Any, **options: Any) -> Value:
+    """Memory that something will be written to: the example holds what lay there by chance."""
+    return body.constant(torch.zeros_like(call.outputs[0].example))
 
 
 def _isnan(body: Body, call: Call, x: Value) -> Value:
@@ -251,11 +267,12 @@ OTHERS: dict[str, Lowering] = {
     "zeros_like": _full,
     "ones_like": _full,
     "full_like": _full,
-    "empty_like": _full,
+    "empty_like": _empty,
     "new_zeros": _full,
     "new_ones": _full,
     "new_full": _full,
-    "new_empty": _full,
+    "new_empty": _empty,
+    "new_empty_strided": _empty,
     "zero": _full,
     "isnan": _isnan,
     "isinf": _isinf,

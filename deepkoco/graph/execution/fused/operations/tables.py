@@ -42,7 +42,6 @@ UNARY = {
 }
 # Of two operands, converted to their common type; the result has the type that it had in the trace.
 BINARY = {
-    "mul": "({0} * {1})",
     "maximum": "max_({0}, {1})",
     "minimum": "min_({0}, {1})",
     "remainder": "remainder_({0}, {1})",
