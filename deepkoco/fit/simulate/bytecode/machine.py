@@ -16,7 +16,7 @@ from deepkoco.systems.dry_friction import CLOSE, SWEEPS
 from deepkoco.systems.dry_friction_loop import rub
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "1f76fc8a7800ddb7"
+COMPILED_WITH = "372652d144c50876"
 
 OPCODES = (
     "add", "sub", "mul", "div", "neg", "abs", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh",
