@@ -14,6 +14,7 @@ from deepkoco.extras import install_command
 from deepkoco.interchange.constants import controller_constants, network_arrays
 from deepkoco.interchange.loaded_model import LoadedModel
 from deepkoco.koopman.exported import ExportedModel
+from deepkoco.koopman.lifting.lifted_linear import LiftedLinearModel
 from deepkoco.output.whole_file import whole_file
 
 OUTPUTS = ("latent", "B", "C")
@@ -42,11 +43,11 @@ def export_onnx(model: LoadedModel, path: Path) -> None:
     The metadata entry "deepkoco" holds `description(model)`.
 
     Args:
-        model: A trained model.
+        model: A trained model, also EDMDc.
         path: The file.
 
     Raises:
-        ExportError: The model was imported, or the extra `onnx` is missing.
+        ExportError: The model has a lifting that is not known here, or the extra `onnx` is missing.
     """
     try:
         import onnx  # noqa: F401
@@ -76,11 +77,11 @@ def export_torch(model: LoadedModel, path: Path) -> None:
     pass on the model's folder or ONNX instead.
 
     Args:
-        model: A trained model.
+        model: A trained model, also EDMDc.
         path: The file.
 
     Raises:
-        ExportError: The model was imported.
+        ExportError: The model has a lifting that is not known here.
     """
     import torch
 
@@ -93,21 +94,28 @@ def _export_program(model: LoadedModel) -> Any:
     """The model traced by torch.export."""
     import torch
 
+    from deepkoco.interchange.torch_lifted import LinearisedLiftedModel, UnknownLiftingError
     from deepkoco.interchange.torch_module import LinearisedModel
 
-    latent_model = model.latent_model
-    if not isinstance(latent_model, ExportedModel):
-        raise ExportError(
-            "an imported linear model is a few matrices and a lifting; export it with --to arrays"
-        )
-    size, frames = latent_model.observation_size, latent_model.frame_encoder
+    latent_model, frames = model.latent_model, None
+    if isinstance(latent_model, ExportedModel):
+        module, frames = LinearisedModel(latent_model), latent_model.frame_encoder
+    elif isinstance(latent_model, LiftedLinearModel):
+        try:
+            module = LinearisedLiftedModel(latent_model)
+        except UnknownLiftingError as error:
+            raise ExportError(
+                f"{error} has no form in torch or ONNX; export the model with --to arrays"
+            ) from error
+    else:
+        raise ExportError("this kind of model has no form in torch or ONNX; export it with --to arrays")
+    size = latent_model.observation_size
     observation = torch.zeros((2, size), dtype=torch.float64)
     if frames is not None:
         observation = torch.zeros((2, frames.frames, *frames.frame_shape), dtype=torch.uint8)
     action = torch.zeros((2, latent_model.action_size), dtype=torch.float64)
     batch = torch.export.Dim("batch")
-    module = LinearisedModel(latent_model).eval()
-    return torch.export.export(module, (observation, action), dynamic_shapes=({0: batch}, {0: batch}))
+    return torch.export.export(module.eval(), (observation, action), dynamic_shapes=({0: batch}, {0: batch}))
 
 
 def _write_npz(arrays: dict[str, Any], path: Path) -> None:

@@ -54,7 +54,7 @@ class LinearisedModel(nn.Module):
             tangent = (active * tangent) @ weight.T
             x = functional.linear(torch.relu(x), weight, bias)
         if self._encoder == 1:
-            tangent = tangent.expand(len(x), -1, -1)
+            tangent = tangent.expand(x.shape[0], -1, -1)
         c = x
         for i in range(self._cost_factor):
             c = functional.linear(torch.relu(c) if i else c, *self._layer("cost_factor", i))

@@ -14,6 +14,7 @@ from deepkoco.interchange.exporters import ExportError, description, export
 from deepkoco.interchange.loaded_model import LoadedModel, load
 from deepkoco.interchange.torch_module import LinearisedModel
 from deepkoco.koopman import KoopmanModel, ModelConfig, export_model
+from deepkoco.koopman.lifting.episode_fit import fit_to_episodes
 from deepkoco.koopman.lifting.lifted_linear import LiftedLinearModel, target_cost
 from deepkoco.koopman.lifting.lifting import Polynomial
 from deepkoco.planning import PlannerConfig
@@ -109,7 +110,7 @@ def test_arrays_are_enough_to_rebuild_the_function(suffix, folder, tmp_path):
     np.testing.assert_array_equal(arrays["action_high"].ravel(), model.action_high)
 
 
-def test_an_imported_model_is_exported_as_arrays_only(tmp_path):
+def test_a_model_with_a_lifting_that_torch_does_not_know_is_exported_as_arrays_only(tmp_path):
     model = lifted_model()
     export(model, "arrays", tmp_path / "m.npz")
     arrays = read_arrays(tmp_path / "m.npz")
@@ -118,6 +119,26 @@ def test_an_imported_model_is_exported_as_arrays_only(tmp_path):
     with pytest.raises(ExportError, match="--to arrays"):
         export(model, "torch", tmp_path / "m.pt2")
     assert [p.name for p in tmp_path.iterdir()] == ["m.npz"]
+
+
+@pytest.mark.parametrize("centres", [0, 4])
+def test_edmdc_that_a_run_has_kept_is_exported_for_torch(centres, tmp_path):
+    generator = np.random.default_rng(1)
+    observations, actions = generator.normal(size=(2, 60, 3)), generator.uniform(-1.0, 1.0, (2, 60, 2))
+    costs = np.square(observations).sum(-1)
+    model = fit_to_episodes(observations, actions, costs, 0.05, 0.01, generator, centres)
+    loaded = LoadedModel(StoredController(model, PlannerConfig(4), -np.ones(2), np.ones(2)))
+    export(loaded, "torch", tmp_path / "m.pt2")
+    program = torch.export.load(tmp_path / "m.pt2").module()
+    for rows in (slice(None), slice(1)):
+        observation, action = (part[rows] for part in POINTS)
+        check_outputs(
+            loaded, program(torch.from_numpy(observation), torch.from_numpy(action)), observation, action
+        )
+    at_a_centre = observations[0, :5].copy()
+    check_outputs(
+        loaded, program(torch.from_numpy(at_a_centre), torch.from_numpy(POINTS[1])), at_a_centre, POINTS[1]
+    )
 
 
 def test_what_cannot_be_exported_is_named(folder, tmp_path, capsys):
