@@ -27,6 +27,8 @@ OLDER_SETTINGS = {
     "largest_gradient": 0.0,
     "noise_unit": "action",
     "noise_floor": 1.0,
+    "rare_discount": 0.0,
+    "fit_horizon": False,
 }
 """How runs of earlier releases learned, whose stored settings do not name these."""
 
@@ -109,6 +111,12 @@ class TrainingConfig:
     cost_discount: float = 0.0
     """gamma of the discounted mean of the costs to come that is learned in the place of a step's cost; for goals
     beyond the horizon; 0: the cost itself."""
+    rare_discount: float = 0.95
+    """With `scale`: gamma where the first episodes hardly ever show a reward within T steps (`out_of_sight`), or are
+    too short for T (`fit_horizon`), and `cost_discount` is 0; 0: the cost itself, as published."""
+    fit_horizon: bool = True
+    """Where the task usually ends even calm random episodes before a training window is over, T and H are as short as
+    half of these (`fitted_horizon`); off: as given, as published."""
     weight_penalty: float = 1e-14
     """alpha_2, weight of the squared parameters (L2), biases included; the published term excludes biases."""
     largest_gradient: float = 10.0
@@ -177,7 +185,7 @@ class TrainingConfig:
             raise TrainingConfigError(
                 f"noise_floor = {self.noise_floor}; give a value in (0, 1], 1 for all alike"
             )
-        for name in ("averaging", "noise_correlation", "cost_discount", "warm_start"):
+        for name in ("averaging", "noise_correlation", "cost_discount", "rare_discount", "warm_start"):
             if not 0 <= getattr(self, name) < 1:
                 raise TrainingConfigError(f"{name} = {getattr(self, name)}; give a value in [0, 1)")
         if self.noise_unit not in NOISE_UNITS:

@@ -28,3 +28,24 @@ def discounted_mean(costs: Tensor, discount: float) -> Tensor:
     both = np.stack((backwards, np.ones_like(backwards)))
     sums, weights = np.asarray(lfilter([1.0], [1.0, -discount], both))
     return torch.from_numpy(sums / weights).flip(0).float()
+
+
+def costs_to_come(costs: Tensor, discount: float, ended: bool) -> Tensor:
+    r"""As `discounted_mean`, but behind an end that the task made itself nothing is charged or paid any more.
+
+    $\bar c_k = (1 - \gamma) \sum_{j \ge 0} \gamma^j c_{k+j}$ for an episode that the task ended: a bonus that is paid
+    once at a goal fades away from it, and a task that pays for every step is worth less the sooner it ends.
+
+    Args:
+        costs: c_k of one episode (L,).
+        discount: gamma in [0, 1).
+        ended: Whether the task ended the episode, and not its time.
+
+    Returns:
+        (L,), float32.
+    """
+    if not ended or discount == 0.0:
+        return discounted_mean(costs, discount)
+    backwards = costs.double().flip(0).numpy()
+    sums = np.asarray(lfilter([1.0 - discount], [1.0, -discount], backwards))
+    return torch.from_numpy(sums).flip(0).float()

@@ -7,7 +7,8 @@ from typing import Any
 
 from deepkoco.agent.buffer import Episode, EpisodeBuffer
 from deepkoco.agent.config import TrainingConfig
-from deepkoco.agent.first_episodes import calm_rounds, task_units
+from deepkoco.agent.first_episodes import calm_rounds, planner_of_linear, task_units
+from deepkoco.agent.fitted_settings import fitted
 from deepkoco.agent.replay_files import read_replay, write_replay
 from deepkoco.agent.task_scale import TaskScale
 from deepkoco.koopman.exported import Array, ExportedModel
@@ -19,6 +20,7 @@ class Experience:
 
     Attributes:
         buffer: What is learned from.
+        learning: Hyper-parameters as the first episodes call for them, see `fitted`; before them those given.
         scale: Its units; None for those of the environment.
         steps: Steps of the environment.
         noise_floor: Noise of the calmest environment as a share of the boldest's; the first episodes decide.
@@ -38,7 +40,9 @@ class Experience:
             high: a_max (M,).
         """
         self._folder, self._config, self._limits = folder, config, (low, high)
-        self.buffer = EpisodeBuffer(recordings, config.cost_discount)
+        self.learning = config
+        # With units of the task, the costs to come are in these, and an end counts.
+        self.buffer = EpisodeBuffer(recordings, 0.0 if config.scale else config.cost_discount)
         self.scale: TaskScale | None = None
         self.steps = 0
         self.noise_floor, self.alone = 1.0, 0
@@ -58,10 +62,12 @@ class Experience:
         Raises:
             ReplayError: No episode is as long as a training window.
         """
-        if iteration == 0 and self._config.scale:
-            self.scale = task_units(self._config, episodes, *self._limits)
+        if iteration == 0:
+            self._fit(episodes)
+            if self._config.scale:
+                self.scale = task_units(self.learning, episodes, *self._limits)
         self._take(episodes)
-        self.buffer.check_windows(self._config.horizon)
+        self.buffer.check_windows(self.learning.horizon)
         write_replay(self._folder, iteration, episodes)
 
     def first(self) -> list[Episode]:
@@ -75,7 +81,20 @@ class Experience:
     @property
     def planner(self) -> PlannerConfig:
         """Settings of the planner for actions and costs as they are."""
-        return self._config.planner if self.scale is None else self.scale.planner(self._config.planner)
+        planner = self.learning.planner
+        return planner if self.scale is None else self.scale.planner(planner)
+
+    @property
+    def linear_planner(self) -> PlannerConfig:
+        """The same for linear models, whose weights are those of costs of single steps."""
+        planner = self.learning.planner
+        return planner_of_linear(planner if self.scale is None else self.scale.of_steps.planner(planner))
+
+    @property
+    def linear_action_weight(self) -> float | Array:
+        """R of linear models, for actions and costs as they are."""
+        weight = float(self.learning.model.action_weight)
+        return weight if self.scale is None else self.scale.of_steps.action_weight(weight)
 
     def state_dict(self) -> dict[str, Any]:
         """What a checkpoint needs beside the files of the replay."""
@@ -90,13 +109,19 @@ class Experience:
         """
         if state.get("scale") is not None:
             self.scale = TaskScale.from_state(state["scale"])
-        self._take(read_replay(self._folder, iterations))
+        episodes = read_replay(self._folder, iterations)
+        if iterations:
+            self._fit(episodes)
+        self._take(episodes)
+
+    def _fit(self, episodes: list[Episode]) -> None:
+        """What follows from the first episodes, those of noise alone first."""
+        first = episodes[: self._config.first_episodes]
+        self.noise_floor, self.alone, _ = calm_rounds(self._config, first)
+        self.learning = fitted(self._config, first[: self.alone])
 
     def _take(self, episodes: list[Episode]) -> None:
-        if not self.steps:
-            first = episodes[: self._config.first_episodes]
-            self.noise_floor, self.alone, _ = calm_rounds(self._config, first)
         self.steps += sum(episode.costs.numel() for episode in episodes)
         if self.scale is not None:
-            episodes = [self.scale.apply(episode, self._config.horizon) for episode in episodes]
+            episodes = [self.scale.apply(episode, self.learning.horizon) for episode in episodes]
         self.buffer.add(episodes)

@@ -16,6 +16,7 @@ from deepkoco.agent.buffer import Episode
 from deepkoco.agent.collection import collect_episodes, episode_costs
 from deepkoco.agent.config import TrainingConfig
 from deepkoco.agent.exploration import OrnsteinUhlenbeck, action_units
+from deepkoco.agent.fitted_settings import fitted, often_ended
 from deepkoco.agent.seeding import Purpose, derive_seed
 from deepkoco.agent.task_scale import TaskScale, lowest_cost, with_end
 from deepkoco.koopman.exported import Array
@@ -37,7 +38,7 @@ def task_units(config: TrainingConfig, episodes: Sequence[Episode], low: Array, 
     """The units that a task is learned in.
 
     Args:
-        config: Hyper-parameters.
+        config: Hyper-parameters, as `fitted` leaves them.
         episodes: Of the first iteration, those of noise alone first: they show what actions cost.
         low: a_min (M,).
         high: a_max (M,).
@@ -45,12 +46,7 @@ def task_units(config: TrainingConfig, episodes: Sequence[Episode], low: Array, 
     cost = None
     if config.measure_action_cost and episodes[0].observations.dim() == 2:
         cost = measure_action_cost(episodes[: random_count(config)])
-    return TaskScale.of(episodes, low, high, cost)
-
-
-def often_ended(random: Sequence[Episode]) -> bool:
-    """Whether the task itself ended most random episodes: noise as bold as theirs then shows hardly anything else."""
-    return sum(episode.final is not None for episode in random) > 0.5 * len(random)
+    return TaskScale.of(episodes, low, high, cost, config.cost_discount)
 
 
 def calm_rounds(config: TrainingConfig, first: Sequence[Episode]) -> tuple[float, int, bool]:
@@ -122,6 +118,7 @@ def fit_linear(
     horizon: int,
     seed: int,
     relative: float | None = None,
+    units: TaskScale | None = None,
 ) -> LiftedLinearModel:
     """EDMDc of recorded episodes.
 
@@ -132,6 +129,7 @@ def fit_linear(
         horizon: H.
         seed: Of its draws.
         relative: See `fit_to_episodes`.
+        units: Their discount says whether the cost is that of a step or a mean of those to come; None: of a step.
 
     Returns:
         The model.
@@ -139,8 +137,11 @@ def fit_linear(
     Raises:
         LiftedModelError: The episodes do not suffice, or a number is not finite.
     """
-    lowest = lowest_cost(episodes)
-    ended = [with_end(episode, lowest, 1) for episode in episodes]
+    if units is not None and units.discount:
+        lowest, ended = units.lowest, [units.with_costs_to_come(episode) for episode in episodes]
+    else:
+        lowest = lowest_cost(episodes)
+        ended = [with_end(episode, lowest, 1) for episode in episodes]
     whole = [e for e in ended if e.costs.numel() > 1 and bool(e.observations.isfinite().all())]
     if not whole:
         raise LiftedModelError("no first episode has two steps of finite observations")
@@ -201,13 +202,14 @@ def collect_first(
         seed = derive_seed(run_seed, Purpose.TRAINING_EPISODES, 2**21 + alone)
         episodes += collect_episodes(envs(TRIALS), agent, seed)
         floor, alone, wanted = calm_rounds(config, episodes)
-    random = alone
+    random, config = alone, fitted(config, episodes)
     linear, failures, planner = None, 0, planner_of_linear(config.planner)
     if random < count and episodes[0].observations.dim() == 2:
         weight: float | Array = config.model.action_weight
-        if config.scale:
-            units = task_units(config, episodes, low, high)
-            weight, planner = units.action_weight(config.model.action_weight), units.planner(planner)
+        units = task_units(config, episodes, low, high) if config.scale else None
+        if units is not None:
+            weight = units.of_steps.action_weight(config.model.action_weight)
+            planner = units.of_steps.planner(planner)
         with suppress(LiftedModelError):
             linear = fit_linear(
                 episodes,
@@ -216,6 +218,7 @@ def collect_first(
                 planner.horizon,
                 seeds[1],
                 config.relative_cost or None,
+                units,
             )
     for number, left in enumerate((min(TRIALS, count - random), count - random - TRIALS)):
         if left <= 0:

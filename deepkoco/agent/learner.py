@@ -51,12 +51,13 @@ class Learner:
             fused=True,
         )
 
-    def update(self, batch: ChunkBatch, step_size: float = 1.0) -> Losses:
+    def update(self, batch: ChunkBatch, step_size: float = 1.0, horizon: int | None = None) -> Losses:
         """Make one gradient step.
 
         Args:
             batch: The chunks, on any device.
             step_size: Factor on both learning rates.
+            horizon: T, steps predicted per window; None takes that of the settings.
 
         Returns:
             The losses before the step.
@@ -66,7 +67,7 @@ class Learner:
         losses = chunk_losses(
             self.model,
             batch,
-            config.horizon,
+            horizon or config.horizon,
             config.cost_weight,
             ROLLOUTS[config.rollout],
             config.relative_cost,

@@ -8,26 +8,33 @@ from contextlib import suppress
 from deepkoco.agent.buffer import Episode
 from deepkoco.agent.config import TrainingConfig
 from deepkoco.agent.first_episodes import fit_linear
+from deepkoco.agent.task_scale import TaskScale
 from deepkoco.koopman.exported import Array
 from deepkoco.koopman.lifting.lifted_linear import LiftedLinearModel, LiftedModelError
 
 
 def fit_candidates(
-    config: TrainingConfig, episodes: Sequence[Episode], alone: int, action_weight: float | Array, seed: int
+    config: TrainingConfig,
+    episodes: Sequence[Episode],
+    alone: int,
+    action_weight: float | Array,
+    seed: int,
+    units: TaskScale | None = None,
 ) -> list[LiftedLinearModel]:
     """EDMDc of what has been collected.
 
     Where a task is nearly linear, a network that has to find this out may do no better. After the first iteration the
     reference of the comparison, which is fitted to the episodes of noise alone, is among the candidates; the others
-    weigh errors of the cost as the network does. Later the last episodes come first, for the dynamics are fitted to a
-    limited number and these show the task where it is controlled.
+    learn the cost that the network does, and weigh its errors so. Later the last episodes come first, for the dynamics
+    are fitted to a limited number and these show the task where it is controlled.
 
     Args:
-        config: Hyper-parameters.
+        config: Hyper-parameters, as the first episodes call for them.
         episodes: As they were recorded, with observations that are states.
         alone: How many of them noise alone has moved; 0 after later iterations.
         action_weight: R.
         seed: Of the draws, that of the reference.
+        units: Those of the network; None for none.
 
     Returns:
         The models that could be fitted.
@@ -39,6 +46,14 @@ def fit_candidates(
     for chosen, share in choices:
         with suppress(LiftedModelError):
             found.append(
-                fit_linear(chosen, config.model.time_step, action_weight, config.planner.horizon, seed, share)
+                fit_linear(
+                    chosen,
+                    config.model.time_step,
+                    action_weight,
+                    config.planner.horizon,
+                    seed,
+                    share,
+                    None if share is None else units,
+                )
             )
     return found

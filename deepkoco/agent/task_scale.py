@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from deepkoco.agent.buffer import Episode
+from deepkoco.agent.discounting import costs_to_come
 from deepkoco.koopman.exported import Array, ExportedModel
 from deepkoco.koopman.losses import MEAN_COST
 from deepkoco.planning.config import PlannerConfig
@@ -34,6 +36,8 @@ class TaskScale:
         lowest: Cost that counts as 0; below 0 where the task pays, which a squared cost cannot represent.
         action_cost: What the task charges for each squared action (M,), see `measure_action_cost`; R knows it, so that
             what is learned is the cost of the state alone. Empty: nothing.
+        discount: gamma; costs are means of those to come, see `costs_to_come`. 0: those of the steps.
+        step_cost: What `cost` is for those of the steps; 0 where it is `cost`.
     """
 
     mean: Array
@@ -42,10 +46,17 @@ class TaskScale:
     cost: float
     lowest: float = 0.0
     action_cost: Array = field(default_factory=lambda: np.zeros(0))
+    discount: float = 0.0
+    step_cost: float = 0.0
 
     @classmethod
     def of(
-        cls, episodes: Sequence[Episode], low: Array, high: Array, action_cost: Array | None = None
+        cls,
+        episodes: Sequence[Episode],
+        low: Array,
+        high: Array,
+        action_cost: Array | None = None,
+        discount: float = 0.0,
     ) -> TaskScale:
         """From the first episodes; numbers that are not finite are left out.
 
@@ -54,14 +65,20 @@ class TaskScale:
             low: a_min (M,).
             high: a_max (M,).
             action_cost: See there; None for nothing.
+            discount: See there.
         """
+        if discount:
+            steps = cls.of(episodes, low, high, action_cost)
+            own = [steps._to_come(episode, discount) for episode in episodes]
+            # A mean is not below the best step, but the usual step may be far above what a rare one pays.
+            lowest = min(steps.lowest, *(float(episode.costs.min()) for episode in own))
+            cost = _unit([_holding(episode, 1) for episode in own], lowest)
+            return replace(steps, cost=cost, lowest=lowest, discount=discount, step_cost=steps.cost)
         charged = np.zeros(0) if action_cost is None or not action_cost.any() else action_cost
         episodes = [without_action_cost(episode, charged) for episode in episodes]
         lowest = lowest_cost(episodes)
-        costs = np.concatenate([with_end(e, lowest, 1).costs.numpy() for e in episodes]).astype(np.float64)
-        costs = np.maximum(costs[np.isfinite(costs)] - lowest, 0.0)
+        cost = _unit([with_end(episode, lowest, 1) for episode in episodes], lowest)
         action = np.where(high > low, (high - low) / 4.0, 1.0)
-        cost = float(costs.mean()) / MEAN_COST if costs.size and costs.mean() > 0.0 else 1.0
         if episodes[0].observations.dim() != 2:
             return cls(np.zeros(0), np.zeros(0), action, cost, lowest, charged)
         seen = np.concatenate([episode.observations.numpy() for episode in episodes]).astype(np.float64)
@@ -79,15 +96,37 @@ class TaskScale:
 
         Args:
             episode: As it was recorded.
-            horizon: T; so many steps that pay nothing follow where a task that pays ended the episode.
+            horizon: T; so many steps that pay nothing follow where a task that pays ended the episode. With a
+                discount they pay as the last step does, for what an end costs is in the mean that leads to it.
         """
-        episode = with_end(without_action_cost(episode, self.action_cost), self.lowest, horizon)
+        if self.discount:
+            episode = _holding(self._to_come(episode, self.discount), horizon)
+        else:
+            episode = with_end(without_action_cost(episode, self.action_cost), self.lowest, horizon)
         costs = ((episode.costs.double() - self.lowest).clamp(min=0.0) / self.cost).float()
         actions = (episode.actions.double() / torch.from_numpy(self.action)).float()
         if not self.mean.size:
             return Episode(episode.observations, actions, costs)
         mean, spread = torch.from_numpy(self.mean), torch.from_numpy(self.spread)
         return Episode(((episode.observations.double() - mean) / spread).float(), actions, costs)
+
+    def with_costs_to_come(self, episode: Episode) -> Episode:
+        """An episode with the mean cost of its states to come and the present price of actions, and a step at its end.
+
+        Args:
+            episode: As it was recorded.
+        """
+        own = _holding(self._to_come(episode, self.discount), 1)
+        return without_action_cost(own, -self.action_cost)
+
+    def _to_come(self, episode: Episode, discount: float) -> Episode:
+        episode = without_action_cost(episode, self.action_cost)
+        return replace(episode, costs=costs_to_come(episode.costs, discount, episode.final is not None))
+
+    @property
+    def of_steps(self) -> TaskScale:
+        """The same units, but for the costs of steps: those of models that know no discount."""
+        return replace(self, cost=self.step_cost or self.cost, discount=0.0, step_cost=0.0)
 
     def fold(self, model: ExportedModel) -> ExportedModel:
         """A model that learned in these units, for the task's own: the same function, with other weights.
@@ -147,6 +186,8 @@ class TaskScale:
             "cost": self.cost,
             "lowest": self.lowest,
             "action_cost": self.action_cost.tolist(),
+            "discount": self.discount,
+            "step_cost": self.step_cost,
         }
 
     @classmethod
@@ -154,7 +195,15 @@ class TaskScale:
         """Restore what `state_dict` gave."""
         mean, spread, action = (np.array(state[name], np.float64) for name in ("mean", "spread", "action"))
         charged = np.array(state.get("action_cost", []), np.float64)  # earlier releases did not measure it
-        return cls(mean, spread, action, state["cost"], state["lowest"], charged)
+        later = (state.get(name, 0.0) for name in ("discount", "step_cost"))
+        return cls(mean, spread, action, state["cost"], state["lowest"], charged, *later)
+
+
+def _unit(episodes: Sequence[Episode], lowest: float) -> float:
+    """Cost that counts as 1: the mean of all steps above the lowest cost is `MEAN_COST`."""
+    costs = np.concatenate([episode.costs.numpy() for episode in episodes]).astype(np.float64)
+    costs = np.maximum(costs[np.isfinite(costs)] - lowest, 0.0)
+    return float(costs.mean()) / MEAN_COST if costs.size and costs.mean() > 0.0 else 1.0
 
 
 def lowest_cost(episodes: Sequence[Episode]) -> float:
@@ -191,10 +240,21 @@ def with_end(episode: Episode, lowest: float, steps: int) -> Episode:
         lowest: See `TaskScale.lowest`; at 0 nothing is lost and the episode stays as it is.
         steps: How many follow, at what was observed last, with the last action and cost 0.
     """
-    if episode.final is None or lowest >= 0.0:
+    return episode if lowest >= 0.0 else _continued(episode, torch.zeros(steps))
+
+
+def _holding(episode: Episode, steps: int) -> Episode:
+    """An episode with so many steps behind its end that cost what its last one did."""
+    return _continued(episode, episode.costs[-1:].expand(steps))
+
+
+def _continued(episode: Episode, costs: Tensor) -> Episode:
+    """An episode with steps behind the end that the task made, at what was observed last, with the last action."""
+    if episode.final is None:
         return episode
+    steps = costs.numel()
     return Episode(
         torch.cat((episode.observations, episode.final.expand(steps, -1))),
         torch.cat((episode.actions, episode.actions[-1:].expand(steps, -1))),
-        torch.cat((episode.costs, torch.zeros(steps))),
+        torch.cat((episode.costs, costs)),
     )

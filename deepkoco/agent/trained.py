@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import torch
 
 from deepkoco.agent.agent import VectorAgent
-from deepkoco.agent.buffer import Episode
-from deepkoco.agent.config import TrainingConfig
+from deepkoco.agent.experience import Experience
 from deepkoco.agent.first_episodes import make_noise
 from deepkoco.agent.metrics import Row
 from deepkoco.agent.references.measure import Trained
@@ -22,10 +21,8 @@ KEPT_LINEAR = "EDMDc of the run's own episodes, which did better than every netw
 
 
 def trained_deepkoco(
-    config: TrainingConfig,
-    model: LatentModel,
-    planner: PlannerConfig,
-    first: Sequence[Episode],
+    experience: Experience,
+    result: tuple[LatentModel, PlannerConfig],
     rows: Sequence[Row],
     low: Array,
     high: Array,
@@ -34,15 +31,14 @@ def trained_deepkoco(
     """Put together what is compared.
 
     Args:
-        config: Hyper-parameters.
-        model: The trained model.
-        planner: Settings of its planner.
-        first: Those episodes that noise alone has moved, as they were recorded.
+        experience: What the run has collected.
+        result: The trained model, and the settings of its planner.
         rows: Metrics.
         low: a_min (M,).
         high: a_max (M,).
         seed: Of the run.
     """
+    config, (model, planner) = experience.learning, result
     own = derive_seed(seed, Purpose.REFERENCES)
 
     def exploration(count: int) -> VectorAgent:
@@ -54,10 +50,10 @@ def trained_deepkoco(
         name=config.name,
         controller=lambda count: VectorAgent(model, planner, low, high, count, seed=own),
         exploration=exploration,
-        first=first,
+        first=experience.first()[: experience.alone],
         rows=rows,
-        planner=planner,
-        action_weight=model.action_weight,
+        planner=experience.linear_planner,
+        action_weight=experience.linear_action_weight,
         time_step=model.time_step,
         low=low,
         high=high,
@@ -66,4 +62,5 @@ def trained_deepkoco(
         total_episodes=config.total_episodes,
         seed=own,
         kept=KEPT_LINEAR if isinstance(model, LiftedLinearModel) else "",
+        to_come=config.cost_discount > 0.0,
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -30,14 +30,14 @@ from deepkoco.agent.collection import (
     episode_costs,
 )
 from deepkoco.agent.config import OLDER_SETTINGS, TrainingConfig
+from deepkoco.agent.controllers import Controllers
 from deepkoco.agent.eigenvalue_history import EigenvalueHistory
 from deepkoco.agent.environment_pool import EnvironmentPool
 from deepkoco.agent.experience import Experience
-from deepkoco.agent.exploration import OrnsteinUhlenbeck, annealed_variance
+from deepkoco.agent.exploration import annealed_variance
 from deepkoco.agent.first_episodes import (
     collect_first,
     make_noise,
-    planner_of_linear,
     random_count,
 )
 from deepkoco.agent.kept_weights import KeptWeights
@@ -50,15 +50,10 @@ from deepkoco.agent.references.run_comparison import compare_run
 from deepkoco.agent.replay_files import read_replay
 from deepkoco.agent.schedule import planned_updates, step_size
 from deepkoco.agent.seeding import Purpose, derive_seed
-from deepkoco.agent.side_by_side import SideBySide
 from deepkoco.agent.standing import Report, Standing
 from deepkoco.agent.stored_controller import MODEL_FOLDER, StoredController, write_controller
 from deepkoco.agent.trained import trained_deepkoco
-from deepkoco.koopman.export import export_model
-from deepkoco.koopman.exported import ExportedModel
-from deepkoco.koopman.lifting.lifted_linear import LiftedLinearModel
 from deepkoco.koopman.model.model import KoopmanModel
-from deepkoco.planning.config import PlannerConfig
 
 CHECKPOINT_FILE = "checkpoint.pt"
 BEFORE_END_FILE = "before_end.pt"
@@ -113,6 +108,7 @@ class Trainer:
         recordings = 1 if self._learner.model.frame_encoder is None else config.model.frames
         self._experience = Experience(folder, config, recordings, self._low, self._high)
         self._buffer = self._experience.buffer
+        self._controllers = Controllers(self._experience, self._learner, self._low, self._high)
         self._sampling = torch.Generator().manual_seed(derive_seed(seed, Purpose.SAMPLING))
         self._noise = torch.Generator().manual_seed(derive_seed(seed, Purpose.NOISE))
         self._collected: Row = {}
@@ -196,7 +192,7 @@ class Trainer:
         else:
             count = min(config.iteration_episodes, config.total_episodes - done)
             seed = derive_seed(self.seed, Purpose.TRAINING_EPISODES, iteration)
-            agent = self._exploring(count, seed, noise)
+            agent = self._controllers.exploring(count, seed, noise, self._kept.linear)
             episodes = collect_episodes(self._pool.get(count, self._make_envs), agent, seed)
             failures = agent.failures
         self._experience.add(iteration, episodes)
@@ -210,49 +206,21 @@ class Trainer:
         self._loss_sums.zero_()
         self.progress.collected, self.progress.iteration_updates = True, 0
 
-    def _acting(self) -> ExportedModel:
-        """The model that acts while it is trained, in the units of the environment."""
-        return self._experience.exported(export_model(self.averaged_model))
-
-    def _result(self) -> tuple[ExportedModel | LiftedLinearModel, PlannerConfig]:
-        """What the run ends with, and its planner."""
-        planner, linear = self._experience.planner, self._kept.linear
-        return (self._acting(), planner) if linear is None else (linear, planner_of_linear(planner))
-
-    def _agent(self, count: int, seed: int, final: bool = False, **choices: Any) -> VectorAgent:
-        model, planner = self._result() if final else (self._acting(), self._experience.planner)
-        return VectorAgent(model, planner, self._low, self._high, count, seed=seed, **choices)
-
-    def _exploring(
-        self, count: int, seed: int, noise: Callable[[int, float], OrnsteinUhlenbeck]
-    ) -> VectorAgent | SideBySide:
-        """What collects: the network; beside it EDMDc, as long as no network did better.
-
-        A network that cannot balance a pole yet falls at once and sees hardly anything else.
-        """
-        floor, linear = self._experience.noise_floor, self._kept.linear
-        if linear is None or count < 2:
-            return self._agent(count, seed, noise=noise(count, floor))
-        odd = count // 2
-        planner = planner_of_linear(self._experience.planner)
-        network = self._agent(count - odd, seed, noise=noise(count - odd, floor))
-        beside = VectorAgent(linear, planner, self._low, self._high, odd, noise(odd, floor))
-        return SideBySide(network, beside)
-
     def _note_eigenvalues(self) -> None:
         dynamics = self.averaged_model.dynamics
         self.eigenvalues.add(len(self._buffer), dynamics.mu.detach(), dynamics.omega.detach())
 
     def _planned_updates(self) -> int:
-        windows = self._buffer.windows(self.config.horizon, self.config.window_stride)
-        return planned_updates(self.config, self.progress.iteration, windows)
+        config = self._experience.learning
+        windows = self._buffer.windows(config.horizon, config.window_stride)
+        return planned_updates(config, self.progress.iteration, windows)
 
     def _update(self, planned: int) -> None:
-        config = self.config
+        config = self._experience.learning
         batch = self._buffer.sample(
             config.chunks, config.chunk_length, config.horizon, self._sampling, config.window_stride
         )
-        losses = self._learner.update(batch, step_size(config, len(self._buffer)))
+        losses = self._learner.update(batch, step_size(config, len(self._buffer)), config.horizon)
         self.progress.iteration_updates += 1
         self.progress.updates += 1
         # The means are over the last updates of the iteration, at most as many as a later iteration makes.
@@ -284,7 +252,7 @@ class Trainer:
             if self.progress.iteration == 0 or self._kept.linear is not None:
                 self._offer_linear()
         kept = self._kept.row if config.keep == "best" else {}
-        planner, clock = planner_metrics(agent, episodes, config.planner.horizon)
+        planner, clock = planner_metrics(agent, episodes, self._experience.planner.horizon)
         self.progress.iteration += 1
         self.progress.collected, self.progress.iteration_updates = False, 0
         self.metrics.add(
@@ -307,7 +275,8 @@ class Trainer:
     def _evaluate(self, count: int, purpose: Purpose) -> tuple[VectorAgent, list[Episode]]:
         """Noise-free episodes from start states that are the purpose's own: of the result, or while training."""
         start, final = derive_seed(self.seed, purpose), purpose == Purpose.FINAL_EVALUATION
-        agent = self._agent(count, start, final, diagnostics=True)
+        linear = self._kept.linear if final else None
+        agent = self._controllers.agent(count, start, linear, diagnostics=True)
         return agent, self._noise_free(agent, count, start)
 
     def _noise_free(self, agent: VectorAgent, count: int, start: int) -> list[Episode]:
@@ -315,16 +284,14 @@ class Trainer:
 
     def _offer_linear(self) -> None:
         """Try EDMDc of the episodes so far with the same planner from the start states of the evaluations."""
-        config, iteration = self.config, self.progress.iteration
+        own, config, iteration = self._experience, self._experience.learning, self.progress.iteration
         if not config.warm_start or self._learner.model.frame_encoder is not None:
             return
         count, start = config.evaluation_episodes, derive_seed(self.seed, Purpose.EVALUATION)
         episodes = read_replay(self.folder, iteration + 1)
-        alone, weight = 0 if iteration else self._experience.alone, self._acting().action_weight
-        planner = planner_of_linear(self._experience.planner)
-        seed = derive_seed(self.seed, Purpose.REFERENCES)
-        for linear in fit_candidates(config, episodes, alone, weight, seed):
-            agent = VectorAgent(linear, planner, self._low, self._high, count)
+        alone, seed = 0 if iteration else own.alone, derive_seed(self.seed, Purpose.REFERENCES)
+        for linear in fit_candidates(config, episodes, alone, own.linear_action_weight, seed, own.scale):
+            agent = self._controllers.agent(count, 0, linear)
             costs = episode_costs(self._noise_free(agent, count, start))
             self._kept.offer_linear(linear, float(costs.mean()), len(self._buffer))
 
@@ -365,9 +332,8 @@ class Trainer:
     def _compare(self) -> dict[str, str]:
         return compare_run(
             lambda: trained_deepkoco(
-                self.config,
-                *self._result(),
-                self._experience.first()[: self._experience.alone],
+                self._experience,
+                self._controllers.result(self._kept.linear),
                 self.metrics.rows,
                 self._low,
                 self._high,
@@ -390,7 +356,7 @@ class Trainer:
             "package": f"deepkoco {__version__}",
         }
         controller = StoredController(
-            *self._result(),
+            *self._controllers.result(self._kept.linear),
             self._low,
             self._high,
             self._task,

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepkoco.agent.buffer import Episode, EpisodeBuffer
-from deepkoco.agent.discounting import discounted_mean
+from deepkoco.agent.discounting import costs_to_come, discounted_mean
 
 
 def test_three_costs_by_hand():
@@ -41,3 +41,19 @@ def test_the_buffer_learns_from_discounted_costs_and_keeps_actions_and_observati
     assert torch.equal(plain.actions, discounted.actions)
     assert torch.equal(plain.costs[0], episode.costs)
     torch.testing.assert_close(discounted.costs[0], discounted_mean(episode.costs, 0.9))
+
+
+def test_behind_an_end_that_the_task_made_nothing_is_paid():
+    # gamma = 0.5, (1 - gamma) times the discounted sum. Last: 0.5 * 4. Before: 0.5 * (2 + 0.5 * 4). First:
+    # 0.5 * (1 + 0.5 * 2 + 0.25 * 4).
+    costs = torch.tensor([1.0, 2.0, 4.0])
+    assert costs_to_come(costs, 0.5, ended=True).tolist() == pytest.approx([1.5, 2.0, 2.0])
+    assert torch.equal(costs_to_come(costs, 0.5, ended=False), discounted_mean(costs, 0.5))
+
+
+def test_a_bonus_at_the_end_fades_away_from_it_and_a_task_that_pays_is_worth_less_the_sooner_it_ends():
+    bonus = costs_to_come(torch.tensor([0.0] * 20 + [-100.0]), 0.9, ended=True)
+    assert (bonus.diff() < 0.0).all()
+    alive = costs_to_come(torch.full((20,), -1.0), 0.9, ended=True)
+    assert (alive.diff() > 0.0).all()
+    assert alive.min() > -1.0

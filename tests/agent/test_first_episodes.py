@@ -16,9 +16,9 @@ from deepkoco.agent.first_episodes import (
     calm_rounds,
     collect_first,
     make_noise,
-    often_ended,
     random_count,
 )
+from deepkoco.agent.fitted_settings import often_ended
 from experiments.studies.learning.untuned_envs import Cart
 
 CONFIG = TrainingConfig(first_episodes=45, warm_start=0.67)

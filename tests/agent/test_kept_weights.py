@@ -74,8 +74,8 @@ def test_steps_fall_linearly_to_their_final_share(tmp_path, monkeypatch):
     seen = []
     update = Learner.update
 
-    def noted(self, batch, step_size=1.0):
-        losses = update(self, batch, step_size)
+    def noted(self, batch, step_size=1.0, horizon=None):
+        losses = update(self, batch, step_size, horizon)
         seen.append([group["lr"] for group in self._optimiser.param_groups])
         return losses
 

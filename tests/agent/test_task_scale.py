@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from deepkoco.agent.buffer import Episode
+from deepkoco.agent.discounting import discounted_mean
 from deepkoco.agent.task_scale import MEAN_COST, TaskScale, lowest_cost, with_end
 from deepkoco.koopman import KoopmanModel, ModelConfig, export_model
 from deepkoco.koopman.model.cost import quadratic_cost
@@ -91,3 +92,44 @@ def test_a_scale_is_the_same_after_a_checkpoint():
     again = TaskScale.from_state(scale.state_dict())
     for field in dataclasses.fields(TaskScale):
         np.testing.assert_array_equal(getattr(scale, field.name), getattr(again, field.name))
+
+
+def test_a_rare_bonus_is_learned_as_costs_to_come_that_an_end_continues():
+    costs = np.zeros(50)
+    costs[-1] = -100.0
+    recorded = episode(costs, final=torch.zeros(3))
+    scale = TaskScale.of([recorded], LOW, HIGH, discount=0.9)
+    learned = scale.apply(recorded, 15).costs
+    assert learned.numel() == 65
+    # (1 - gamma) 100 gamma^k, k steps before the goal, above the best of them: 10 (1 - 0.9^k).
+    expected = 10.0 * (1.0 - 0.9 ** np.arange(49, -1, -1)) / scale.cost
+    np.testing.assert_allclose(learned[:50], expected, atol=1e-5)
+    np.testing.assert_allclose(learned[50:], 0.0, atol=1e-5)
+    assert scale.lowest == pytest.approx(-10.0)
+
+
+def test_costs_to_come_of_a_task_that_pays_for_every_step_count_from_its_best_step():
+    recorded = episode(-1.0, final=torch.zeros(3))
+    scale = TaskScale.of([recorded], LOW, HIGH, discount=0.9)
+    assert scale.lowest == -1.0  # no mean of steps is below, however long later episodes are
+    learned = scale.apply(recorded, 15).costs * scale.cost
+    np.testing.assert_allclose(learned[:50], 0.9 ** np.arange(50, 0, -1), atol=1e-5)
+    np.testing.assert_allclose(learned[50:], 0.9, atol=1e-5)
+
+
+def test_units_of_steps_are_those_without_a_discount():
+    recorded = episode(np.linspace(0.0, 200.0, 50))
+    plain, far = (TaskScale.of([recorded], LOW, HIGH, discount=discount) for discount in (0.0, 0.9))
+    assert far.cost != plain.cost
+    assert far.of_steps.state_dict() == plain.state_dict()
+    assert TaskScale.from_state(far.state_dict()).state_dict() == far.state_dict()
+
+
+def test_linear_models_are_given_the_price_of_actions_with_the_costs_to_come():
+    recorded = episode(np.linspace(0.0, 200.0, 50))
+    charged = np.array([0.5, 2.0])
+    scale = TaskScale.of([recorded], LOW, HIGH, charged, discount=0.9)
+    price = (recorded.actions.double().square() @ torch.from_numpy(charged)).float()
+    state = dataclasses.replace(recorded, costs=recorded.costs - price)
+    expected = discounted_mean(state.costs, 0.9) + price
+    torch.testing.assert_close(scale.with_costs_to_come(recorded).costs, expected, rtol=1e-4, atol=1e-4)

@@ -33,6 +33,7 @@ class Evidence:
         window: T + 1, steps of a training window; None for an agent that learns from single transitions.
         planned_time: H steps of the planner [s]; None for an agent without one.
         total_episodes: Episodes of the training.
+        to_come: Whether means of the costs to come were learned, which rare rewards are part of.
     """
 
     first: Sequence[Episode]
@@ -44,6 +45,7 @@ class Evidence:
     window: int | None
     planned_time: float | None
     total_episodes: int
+    to_come: bool = False
 
     def last(self, name: str) -> float:
         """A metric of the last row; NaN where there is none."""
@@ -72,7 +74,11 @@ def _rare_rewards(evidence: Evidence) -> str | None:
     costs = np.concatenate([episode.costs.numpy() for episode in (*evidence.first, *evidence.own)])
     counted = lowest_cost(evidence.first)
     lowest = float(costs.min())
-    if evidence.planned_time is None or lowest >= counted - RARE_MARGIN * max(abs(lowest), abs(counted)):
+    if (
+        evidence.planned_time is None
+        or evidence.to_come
+        or lowest >= counted - RARE_MARGIN * max(abs(lowest), abs(counted))
+    ):
         return None
     return (
         f"rare rewards up to {rounded(-lowest)} count as {rounded(abs(counted))}, for a squared cost"

@@ -37,6 +37,7 @@ class Trained:
         total_episodes: Episodes of the training.
         seed: Of the draws that EDMDc makes.
         kept: What the controller is, where it is not what was trained.
+        to_come: Whether means of the costs to come were learned.
     """
 
     name: str
@@ -54,6 +55,7 @@ class Trained:
     total_episodes: int
     seed: int
     kept: str = ""
+    to_come: bool = False
 
 
 def compare(trained: Trained, starts: SameStarts) -> Comparison:
@@ -107,5 +109,6 @@ def _advice(trained: Trained, comparison: Comparison, episodes: dict[str, list[E
             trained.window,
             trained.planner.horizon * trained.time_step if trained.plans else None,
             trained.total_episodes,
+            trained.to_come,
         )
     )

@@ -91,3 +91,11 @@ def test_frames_have_no_spread():
     unseen = [Episode(torch.zeros(40, 0), e.actions, e.costs) for e in episodes()]
     found = advise(dataclasses.replace(HEALTHY, first=frames, own=unseen, others={ZERO: unseen}))
     assert "nothing measured says why" in found[0]
+
+
+def test_rare_rewards_are_no_cause_where_costs_to_come_were_learned():
+    rare = dataclasses.replace(HEALTHY, first=episodes(costs=np.append(np.ones(79), -100), steps=80))
+    assert any("rare rewards" in text for text in advise(rare, most=20))
+    assert not any(
+        "rare rewards" in text for text in advise(dataclasses.replace(rare, to_come=True), most=20)
+    )
