@@ -55,7 +55,9 @@ def fitted_horizon(config: TrainingConfig, random: Sequence[Episode]) -> int:
         config: As given.
         random: Episodes that noise alone has moved, the calmest ones last.
     """
-    if not often_ended(random):
+    if (
+        not often_ended(random) or config.window_stride > 1
+    ):  # windows that do not overlap are as long as a chunk
         return config.horizon
     lengths = [episode.costs.numel() for episode in random]
     usual = int(max(np.median(lengths), np.median(lengths[-CALMEST:])))

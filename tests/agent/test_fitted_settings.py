@@ -69,5 +69,5 @@ def test_published_settings_and_a_discount_of_the_user_stay_as_they_are():
     ):
         assert fitted(own, rare) == own
     falls = [episode(np.full(5, -1.0), ended=True)] * 3
-    own = replace(CONFIG, fit_horizon=False)
-    assert fitted(own, falls) == own
+    for own in (replace(CONFIG, fit_horizon=False), replace(CONFIG, window_stride=16, chunk_length=16)):
+        assert fitted(own, falls) == own
