@@ -5,10 +5,13 @@ import numpy as np
 import pytest
 import torch
 
+from deepkoco.diagnose.causes import catalogue
+from deepkoco.fit import fit
 from deepkoco.systems import ExtendedSystem
 from deepkoco.systems.motion import Motion
 from deepkoco.systems.trees import TreeSystem
 from deepkoco.systems.trees.write_back import extended_mjcf
+from tests.systems.trees.random_trees import mujoco_log
 
 ARM = """
 <mujoco>
@@ -91,3 +94,47 @@ def test_written_file_has_the_new_range(arm):
     np.testing.assert_allclose(model.actuator_forcerange, [[-0.5, 1.0], [-1.0, 1.0]])
     changed = {c.attribute: (c.before, c.after) for c in written.changes}
     assert changed == {"forcerange low": (-2.0, -0.5), "forcerange high": (4.0, 1.0)}
+
+
+def test_strength_of_a_drive_scales_its_limit_too(arm):
+    # A sagging supply lowers the largest force with the gains.
+    system = ExtendedSystem(arm, ("drive_strength(j)",), {"drive_strength(j).factor": 0.5})
+    weak = system.accelerations(system.default_parameters())(motion(3.0, 0.2, 0.7))
+    own = arm.accelerations(with_limit(arm, 2.0))(motion(3.0, 0.2, 0.7))
+    assert float(weak[0]) == pytest.approx(float(own[0]))
+
+
+SERVO = """
+<mujoco>
+  <option timestep="0.0005" integrator="implicitfast"/>
+  <worldbody><body name="arm"><joint name="j" axis="0 1 0" damping="0.3" armature="0.01"/>
+    <inertial pos="0 0 -0.2" mass="0.5" diaginertia="0.01 0.01 0.01"/></body></worldbody>
+  <actuator><position name="a" joint="j" kp="20" kv="0.5" forcerange="-{0} {0}"/></actuator>
+</mujoco>
+"""
+
+
+@pytest.mark.parametrize(("step", "reached"), [(0.6, True), (0.02, False)])
+def test_fit_finds_the_limit_of_a_servo_that_saturates_and_leaves_that_of_another(tmp_path, step, reached):
+    (tmp_path / "servo.xml").write_text(SERVO.format(4.0))
+    system = TreeSystem.from_file(tmp_path / "servo.xml")
+    rng = np.random.default_rng(0)
+    goals = np.repeat(rng.uniform(-step, step, (20, 1)), 40, axis=0)
+    model = mujoco.MjModel.from_xml_string(SERVO.format(2.0))
+    log = mujoco_log(model, system, goals, 100.0, rng)
+    found = fit([log], system, ["force_limit(a)", "damping(j)"]).estimates["force_limit(a)"]
+    if reached:
+        assert abs(found.value - 2.0) < 0.02
+    else:
+        assert found.value == pytest.approx(4.0)
+        assert found.high - found.low > 4.0  # as wide as its prior
+
+
+def test_cause_of_another_limit_is_searched_for_below_what_cuts_off(arm):
+    starts = catalogue(arm)["changed(force_limit(a))"].starts(None)
+    assert starts[0] == {}
+    values = [start["force_limit(a)"] for start in starts[1:]]
+    assert values == sorted(values, reverse=True)
+    assert values[0] < 4.0
+    assert values[-1] < 0.4
+    assert catalogue(arm)["changed(kp(a))"].starts(None) == [{}]
