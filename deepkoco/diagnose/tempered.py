@@ -21,7 +21,7 @@ import torch
 
 from deepkoco.diagnose.baseline import FEW_WINDOWS, Baseline, few_windows, on_half_windows, refit_sharply
 from deepkoco.diagnose.causes.units import LARGE_MISFIT
-from deepkoco.diagnose.one_controller import with_gains_tied, with_surplus_as_damping
+from deepkoco.diagnose.one_controller import with_surplus_as_damping
 from deepkoco.diagnose.one_make import covariance_of, groups_of
 from deepkoco.fit.data.halves import halved
 from deepkoco.fit.data.windows import Windows
@@ -85,8 +85,7 @@ def tempered_to(
     """
     factor = dispersion(fit, windows).deflation
     centre = declared.prior.centre[[declared.prior.names.index(n) for n in names]]
-    covariance = covariance_of(declared, names, fit.values, settled)
-    covariance = with_gains_tied(declared, names, fit.values, settled, covariance) / factor
+    covariance = covariance_of(declared, names, fit.values, settled) / factor
     prior = replace(declared.prior, names=names, centre=centre, covariance=covariance)
     return replace(declared, prior=prior, tempering=factor)
 
