@@ -21,6 +21,7 @@ import torch
 
 from deepkoco.diagnose.baseline import FEW_WINDOWS, Baseline, few_windows, on_half_windows, refit_sharply
 from deepkoco.diagnose.causes.units import LARGE_MISFIT
+from deepkoco.diagnose.one_controller import with_surplus_as_damping
 from deepkoco.diagnose.one_make import covariance_of, groups_of
 from deepkoco.fit.data.halves import halved
 from deepkoco.fit.data.windows import Windows
@@ -115,6 +116,7 @@ def _from_other_sizes(declared: Baseline, windows: Windows) -> tuple[Baseline, W
     values, left = search_scales(problem, sizes_of_joints(declared), declared.values, state)
     if left > FAR_OFF:
         return None
+    values = with_surplus_as_damping(declared, values)
     # A short window has fewer minima.
     halves = halved(some)
     short, names = FitProblem(declared.system, halves), declared.prior.names

@@ -87,7 +87,8 @@ def test_search_scales_leaves_values_that_are_right(stiff):
 
 def test_sizes_of_joints_are_what_no_drawing_tells(stiff):
     system, soft, _ = stiff
+    own = ("damping({0})", "kp(m_{0})", "kv(m_{0})", "force_limit(m_{0})")
     assert sizes_of_joints(baseline_from(system, soft)) == {
-        0: {"damping": "damping(shoulder)", "kp": "kp(m_shoulder)", "kv": "kv(m_shoulder)"},
-        1: {"damping": "damping(elbow)", "kp": "kp(m_elbow)", "kv": "kv(m_elbow)"},
+        j: {name.partition("(")[0]: name.format(joint) for name in own}
+        for j, joint in enumerate(("shoulder", "elbow"))
     }

@@ -6,15 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from deepkoco.diagnose.causes.cause import Cause
+from deepkoco.diagnose.causes.cause import Cause, Hint, Starts, from_null
 from deepkoco.diagnose.causes.tolerance import of_data_sheet
 from deepkoco.systems import Parameter, System
+from deepkoco.systems.trees.force_limits import is_force_limit
 
 FAMILY = "parameter"
 # The prior of a changed parameter says hardly more than its bounds: so many declared standard deviations, and at least
 # this share of its value.
 WIDER = 10.0
 LEAST_SHARE = 0.5
+# Of a limit, from which its other value is searched for: one that cuts nothing off has no slope.
+SHARES_OF_LIMIT = (1.0, 0.6, 0.36, 0.22, 0.13, 0.08)
 
 CHANGED = Cause(
     "changed",
@@ -43,10 +46,24 @@ SCALED = Cause(
 def changed_causes(system: System) -> list[Cause]:
     """Return a cause for every parameter of a plain system; its estimate is the parameter's new value."""
     return [
-        replace(CHANGED, name=f"{CHANGED.name}({p.name})", free=(p.name,), effect=CHANGED.name)
+        replace(
+            CHANGED, name=f"{CHANGED.name}({p.name})", free=(p.name,), effect=CHANGED.name, starts=_starts(p)
+        )
         for p in system.parameters
         if "." not in p.name
     ]
+
+
+def _starts(parameter: Parameter) -> Starts:
+    if not is_force_limit(parameter.name):
+        return from_null
+
+    def starts(hint: Hint) -> list[dict[str, float]]:
+        del hint
+        shares = (max(share * parameter.value, parameter.low) for share in SHARES_OF_LIMIT[1:])
+        return [{}, *({parameter.name: limit} for limit in shares)]
+
+    return starts
 
 
 def is_changed(cause: Cause) -> bool:

@@ -27,7 +27,7 @@ from deepkoco.systems.effects.effect import PlacedEffect
 from deepkoco.systems.motion import Motion
 from deepkoco.systems.trees import TreeSystem
 from deepkoco.systems.trees.base_parameters import smooth_motion
-from deepkoco.systems.trees.visible import IN_TIME
+from deepkoco.systems.trees.visible import SHOWN_OTHERWISE
 
 STEP = 1e-5  # of finite differences, in standard deviations of the priors
 # The valley is curved, and steps along a narrow one are short: the search begins in one that is wide.
@@ -86,8 +86,8 @@ class _Valley:
         assert isinstance(system.base, TreeSystem)
         self.tree, self.motion = system.base, motion
         self.problem, self.reference, self.cause, self.placed = problem, reference, cause, placed
-        # The load of an instant does not show lags of commands; these stay as they are.
-        free = [n for n in reference.free if "." not in n and not n.startswith(IN_TIME)]
+        # The load of an instant shows no lags of commands, nor limits that are not reached; these stay as they are.
+        free = [n for n in reference.free if "." not in n and not n.startswith(SHOWN_OTHERWISE)]
         self.names = (*free, *cause.free)
         columns = [problem.names.index(n) for n in self.names]
         self.low, self.high = problem.low[columns], problem.high[columns]

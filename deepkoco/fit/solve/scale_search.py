@@ -22,6 +22,7 @@ from deepkoco.fit.shooting import ShootingProblem
 FAR = (1.0, 0.03, 0.2, 5.0, 25.0)  # factors of the combinations
 NEAR = (0.5, 0.75, 1.33, 2.0)  # and of single parameters afterwards
 MOST = 700  # combinations; with more of them, fewer factors are tried
+ALONE = ("force_limit",)  # kinds that are no factor of a motion: they cut it off, or do nothing
 SWEEPS = 6
 WORTH = 0.99  # share of the cost that must be left for a change to be kept
 BAD = 3.0  # medians of chi2 over windows that the chi2 of one window counts at most
@@ -72,6 +73,7 @@ def _combined(
     problem: ShootingProblem, columns: Mapping[int, Mapping[str, int]], given: np.ndarray, state: Tensor
 ) -> np.ndarray:
     """Return the point at which each joint has the combination of factors that suits its own channels."""
+    columns = {joint: {k: j for k, j in own.items() if k not in ALONE} for joint, own in columns.items()}
     kinds = sorted({kind for own in columns.values() for kind in own})
     factors = FAR
     while len(factors) ** len(kinds) > MOST and len(factors) > 2:

@@ -26,19 +26,19 @@ def is_level(kind):
 
 
 @njit(error_model="numpy", nogil=True)
-def deliver(drives, gear, force_limits, law, angle, speed, effort, forces):
+def deliver(drives, gear, law, angle, speed, effort, forces):
     """Forces (M, LANES) of the actuators on their joints."""
-    law, forces, angle, speed = in_rows(law, 6), in_lanes(forces), in_lanes(angle), in_lanes(speed)
+    law, forces, angle, speed = in_rows(law, 8), in_lanes(forces), in_lanes(angle), in_lanes(speed)
     effort = in_lanes(effort)
     for a in range(len(drives)):
-        k, ratio, low, high = drives[a], gear[a], force_limits[a, 0], force_limits[a, 1]
+        k, ratio = drives[a], gear[a]
         for i in range(LANES):
             length, rate = ratio * angle[k, i], ratio * speed[k, i]
             scale = law[a, 0, i] + law[a, 1, i] * length + law[a, 2, i] * rate
             # A servo's stiff force is the difference of two large ones: the same as kp times the error.
             force = scale * effort[a, i] + (law[a, 3, i] + law[a, 4, i] * length + law[a, 5, i] * rate)
-            force = high if force > high else force
-            force = low if force < low else force
+            force = law[a, 7, i] if force > law[a, 7, i] else force
+            force = law[a, 6, i] if force < law[a, 6, i] else force
             forces[a, i] = ratio * force
 
 

@@ -14,9 +14,9 @@ from deepkoco.systems.trees.base_tilt import turned_gravity
 from deepkoco.systems.trees.dynamics import Inertia, forward_dynamics
 from deepkoco.systems.trees.fast import PASSIVE, FastLaw, TreeArrays
 from deepkoco.systems.trees.geometry import shaped, turned_forces, turned_inertias
-from deepkoco.systems.trees.loads import Law, actuator_forces, clipped, passive_loads
+from deepkoco.systems.trees.loads import actuator_forces, clipped, passive_loads
 from deepkoco.systems.trees.outside_forces import outside_forces, with_forces
-from deepkoco.systems.trees.parameters import actuator_law, joint_value, link_inertias
+from deepkoco.systems.trees.parameters import Law, actuator_law, joint_value, link_inertias
 from deepkoco.systems.trees.scalars import Scalar, Triple, add, total
 from deepkoco.systems.trees.stiffness import added_armatures
 from deepkoco.systems.trees.tree import Joint, OutsideForce, Tree
@@ -72,7 +72,7 @@ class Numbers(NamedTuple):
             return None
         flat = [v for inertia in self.inertias for v in (inertia.mass, *inertia.first, *inertia.second)]
         flat += [*self.gravity, *(v for values in self.passive.values() for v in values)]
-        flat += [v for gain, bias in self.laws for v in (*gain, *bias)]
+        flat += [v for law in self.laws for v in (*law.gain, *law.bias, law.low, law.high)]
         if not is_plain(flat):
             return None
         return FastLaw(arrays, self.inertias, self.gravity, list(self.passive.values()), self.laws)

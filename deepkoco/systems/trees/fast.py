@@ -11,6 +11,7 @@ from torch import Tensor
 
 from deepkoco.systems.motion import Motion
 from deepkoco.systems.trees.dynamics import Inertia
+from deepkoco.systems.trees.parameters import Law
 from deepkoco.systems.trees.scalars import Scalar, Triple
 from deepkoco.systems.trees.tree import Tree
 
@@ -31,7 +32,6 @@ class TreeArrays:
         self.limits = np.array([(j.force_low, j.force_high) for j in joints])
         self.drives = np.array([a.joint for a in actuators], np.int64)
         self.gear = np.array([a.gear for a in actuators])
-        self.force_limits = np.array([(a.force_low, a.force_high) for a in actuators]).reshape(-1, 2)
 
 
 class FastLaw:
@@ -42,7 +42,7 @@ class FastLaw:
         inertias: Of each joint.
         gravity: In the base's frame.
         passive: For each of `PASSIVE` one value per joint.
-        laws: Gain and bias of each actuator.
+        laws: Gain, bias and range of the force of each actuator.
     """
 
     def __init__(
@@ -51,13 +51,13 @@ class FastLaw:
         inertias: Sequence[Inertia],
         gravity: Triple,
         passive: Sequence[Sequence[Scalar]],
-        laws: Sequence[tuple[Sequence[Scalar], Sequence[Scalar]]],
+        laws: Sequence[Law],
     ) -> None:
         self.arrays = arrays
         listed: list[Scalar] = [v for i in inertias for v in (i.mass, *i.first, *i.second)]
         listed += [*gravity]
         listed += [values[j] for j in range(len(inertias)) for values in passive]
-        listed += [v for gain, bias in laws for v in (*gain, *bias)]
+        listed += [v for law in laws for v in (*law.gain, *law.bias, law.low, law.high)]
         self.shape = common_shape(v.shape for v in listed if isinstance(v, Tensor))
         groups = math.prod(self.shape)
         table = np.empty((len(listed), *self.shape))
@@ -69,7 +69,7 @@ class FastLaw:
         self.inertia = parts[0].reshape(joints, 10, groups)
         self.gravity = parts[1]
         self.passive = parts[2].reshape(joints, len(passive), groups)
-        self.law = parts[3].reshape(-1, 6, groups)
+        self.law = parts[3].reshape(-1, 8, groups)
         self.rubs = bool(self.passive[:, PASSIVE.index("frictionloss")].any())
         self._groups: dict[tuple[int, ...], np.ndarray] = {}
 
@@ -102,7 +102,7 @@ class FastLaw:
         a = self.arrays
         result = np.empty((joints, count))
         tree_accelerations(
-            a.parent, a.turns, a.rotation, a.offset, a.reference, a.limits, a.drives, a.gear, a.force_limits,
+            a.parent, a.turns, a.rotation, a.offset, a.reference, a.limits, a.drives, a.gear,
             self._group(shape), self.inertia, self.gravity, self.passive, self.law,
             _rows(motion.angles, shape, count), _rows(motion.speeds, shape, count),
             _rows(motion.efforts, shape, count), pushes, rubbing, result,

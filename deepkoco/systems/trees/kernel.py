@@ -45,12 +45,11 @@ def tree_accelerations(
     limits,  # (J, 2) of what all actuators deliver to a joint
     drives,  # (M,) joint of each actuator
     gear,  # (M,)
-    force_limits,  # (M, 2)
     group,  # (N,) index of each element's parameters
     inertia,  # (J, 10, G) mass, first moments, xx yy zz xy xz yz
     gravity,  # (3, G)
     passive,  # (J, 5, G) armature, damping, stiffness, springref, frictionloss
-    law,  # (M, 6, G) g0 g1 g2 b0 b1 b2
+    law,  # (M, 8, G) g0 g1 g2 b0 b1 b2, smallest and largest force
     angles,  # (J, N)
     speeds,  # (J, N)
     efforts,  # (M, N)
@@ -86,7 +85,7 @@ def tree_accelerations(
                     s[k, INERTIA + row, i] = inertia[k, row, which[i]]
         # Actuators, then damping, springs and dry friction.
         for a in range(len(drives)):
-            k, ratio, low, high = drives[a], gear[a], force_limits[a, 0], force_limits[a, 1]
+            k, ratio = drives[a], gear[a]
             for i in range(LANES):
                 given[a, i] = efforts[a, first + min(i, size - 1)]
             for i in range(LANES):
@@ -95,6 +94,7 @@ def tree_accelerations(
                 scale = law[a, 0, g] + law[a, 1, g] * length + law[a, 2, g] * rate
                 # A servo's stiff force is the difference of two large ones: the same as kp times the error.
                 force = scale * given[a, i] + (law[a, 3, g] + law[a, 4, g] * length + law[a, 5, g] * rate)
+                low, high = law[a, 6, g], law[a, 7, g]
                 force = high if force > high else force
                 force = low if force < low else force
                 s[k, LOAD, i] += ratio * force

@@ -9,12 +9,9 @@ import torch
 from torch import Tensor
 
 from deepkoco.systems.motion import Motion
-from deepkoco.systems.trees.parameters import is_servo, is_speed_servo
+from deepkoco.systems.trees.parameters import Law, is_servo, is_speed_servo
 from deepkoco.systems.trees.scalars import Scalar, add, mul, sub
 from deepkoco.systems.trees.tree import Actuator
-
-Law = tuple[Sequence[Scalar], Sequence[Scalar]]
-"""Gain g0, g1, g2 and bias b0, b1, b2 of an actuator."""
 
 
 def actuator_forces(
@@ -24,7 +21,7 @@ def actuator_forces(
 
     def forces(motion: Motion) -> tuple[Scalar, ...]:
         result = []
-        for actuator, (gain, bias), effort in zip(actuators, laws, motion.efforts, strict=True):
+        for actuator, (gain, bias, low, high), effort in zip(actuators, laws, motion.efforts, strict=True):
             j, gear = actuator.joint, actuator.gear
             length, rate = mul(gear, motion.angles[j]), mul(gear, motion.speeds[j])
             if is_servo(actuator):
@@ -35,7 +32,7 @@ def actuator_forces(
                 scale = add(gain[0], add(mul(gain[1], length), mul(gain[2], rate)))
                 rest = add(bias[0], add(mul(bias[1], length), mul(bias[2], rate)))
                 force = add(mul(scale, effort), rest)
-            result.append(mul(gear, clipped(force, actuator.force_low, actuator.force_high)))
+            result.append(mul(gear, clipped(force, low, high)))
         return tuple(result)
 
     return forces
@@ -63,8 +60,11 @@ def passive_loads(
     return load
 
 
-def clipped(value: Scalar, low: float, high: float) -> Scalar:
+def clipped(value: Scalar, low: Scalar, high: Scalar) -> Scalar:
     """The value within its limits."""
+    if isinstance(low, Tensor) or isinstance(high, Tensor):
+        ends = (torch.as_tensor(end, dtype=torch.float64) for end in (low, high))
+        return torch.as_tensor(value, dtype=torch.float64).clamp(*ends)
     if math.isinf(low) and math.isinf(high):
         return value
     if isinstance(value, Tensor):

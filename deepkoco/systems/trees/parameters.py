@@ -12,6 +12,7 @@ from torch import Tensor
 
 from deepkoco.systems.parameter import Parameter, Parameters
 from deepkoco.systems.trees.dynamics import NONE, Inertia, rotated, shifted
+from deepkoco.systems.trees.force_limits import KIND, force_limit, force_range, is_limited
 from deepkoco.systems.trees.geometry import products_of_inertia
 from deepkoco.systems.trees.places import point_along
 from deepkoco.systems.trees.scalars import ZERO, Scalar, Triple, add, mul, outward, plus
@@ -150,8 +151,18 @@ def joint_value(parameters: Parameters, kind: str, joint: Joint) -> Scalar:
     return _value(parameters, f"{kind}({joint.name})", float(getattr(joint, kind)))
 
 
-def actuator_law(actuator: Actuator, parameters: Parameters) -> tuple[Sequence[Scalar], Sequence[Scalar]]:
-    """Gain g0, g1, g2 and bias b0, b1, b2 of an actuator."""
+class Law(NamedTuple):
+    """Force of an actuator: gain g0, g1, g2, bias b0, b1, b2, and the range of both together."""
+
+    gain: Sequence[Scalar]
+    bias: Sequence[Scalar]
+    low: Scalar
+    high: Scalar
+
+
+def actuator_law(actuator: Actuator, parameters: Parameters) -> Law:
+    """What an actuator does with its command under named values."""
+    low, high = force_range(actuator, parameters)
     name, gain, bias = actuator.name, list[Any](actuator.gain), list[Any](actuator.bias)
     if is_servo(actuator):
         gain[0] = _value(parameters, f"kp({name})", gain[0])
@@ -159,18 +170,18 @@ def actuator_law(actuator: Actuator, parameters: Parameters) -> tuple[Sequence[S
     elif is_speed_servo(actuator):
         gain[0] = _value(parameters, f"kv({name})", gain[0])
         bias[2] = mul(-1.0, gain[0])
-        return tuple(gain), tuple(bias)
+        return Law(tuple(gain), tuple(bias), low, high)
     else:
         gain[0] = _value(parameters, f"gain({name})", gain[0])
         bias[1] = mul(-1.0, _value(parameters, f"kp({name})", -bias[1]))
     bias[0] = _value(parameters, f"bias({name})", bias[0])
     bias[2] = mul(-1.0, _value(parameters, f"kv({name})", -bias[2]))
-    return tuple(gain), tuple(bias)
+    return Law(tuple(gain), tuple(bias), low, high)
 
 
 def drive_parameters(actuator: Actuator) -> tuple[str, ...]:
     """Names of the parameters in :func:`actuator_law`: its force is proportional to all of them together."""
-    return tuple(f"{kind}({actuator.name})" for kind in ("gain", "kp", "kv", "bias"))
+    return tuple(f"{kind}({actuator.name})" for kind in ("gain", "kp", "kv", "bias", KIND))
 
 
 def time_constant(actuator: Actuator, parameters: Parameters) -> Tensor:
@@ -292,7 +303,8 @@ def _of_actuator(actuator: Actuator, joint: Joint) -> list[Parameter]:
         )
     elif is_speed_servo(actuator):
         text = f"k_v, force of the servo {name} per error of the speed"
-        return [*found, _positive(f"kv({name})", g0, f"{force}/({rate})", "kv", text), *_lag(actuator)]
+        own = [_positive(f"kv({name})", g0, f"{force}/({rate})", "kv", text)]
+        return [*own, *_limit(actuator, force), *_lag(actuator)]
     else:
         if g0 != 0.0:
             of = "1" if unit == force else f"{force}/({unit})"
@@ -311,7 +323,11 @@ def _of_actuator(actuator: Actuator, joint: Joint) -> list[Parameter]:
             f"kv({name})", -b2, f"{force}/({rate})", "kv", f"k_v, damping of the servo {name}"
         )
         found.append(replace(damping, low=0.0) if b2 < 0.0 else damping)
-    return found + _lag(actuator)
+    return [*found, *_limit(actuator, force), *_lag(actuator)]
+
+
+def _limit(actuator: Actuator, force: str) -> list[Parameter]:
+    return [force_limit(actuator, force)] if is_limited(actuator) else []
 
 
 def _lag(actuator: Actuator) -> list[Parameter]:

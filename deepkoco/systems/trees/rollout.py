@@ -100,9 +100,7 @@ class TreeRollout:
         value = np.empty((2 * joints, steps + 1, count))
         left, right = np.empty((joints, steps, count)), np.empty((joints, steps, count))
         a = law.arrays
-        tree = (
-            a.parent, a.turns, a.rotation, a.offset, a.reference, a.limits, a.drives, a.gear, a.force_limits,
-        )  # fmt: skip
+        tree = (a.parent, a.turns, a.rotation, a.offset, a.reference, a.limits, a.drives, a.gear)
         own = tuple(
             _in_groups(x, law.shape, numbers) for x in (law.inertia, law.gravity, law.passive, law.law)
         )

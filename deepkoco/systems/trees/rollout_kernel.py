@@ -21,12 +21,12 @@ from deepkoco.systems.trees.newton_euler_kernel import LOAD, ROWS, SPARE
 from deepkoco.systems.trees.step_kernel import mean_levels, runge_kutta
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "d32488115d1672c7"
+COMPILED_WITH = "ebad6380740bf0c1"
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def tree_rollout(
-    tree,  # parent, turns, rotation, offset, reference, limits, drives, gear, force_limits, as `tree_accelerations`
+    tree,  # parent, turns, rotation, offset, reference, limits, drives, gear, as `tree_accelerations`
     group,  # (N,) index of each element's parameters
     numbers,  # inertia, gravity, passive, law, as `tree_accelerations`
     kinds,  # (E,) of the effects
@@ -67,7 +67,7 @@ def tree_rollout(
     level = np.empty((joints, LANES))
     efforts, times = np.empty((3, max(motors, 1), LANES)), np.empty((3, LANES))
     own_inertia, own_gravity = np.empty((joints, 10, LANES)), np.empty((3, LANES))
-    own_passive, own_law = np.empty((joints, 5, LANES)), np.empty((max(motors, 1), 6, LANES))
+    own_passive, own_law = np.empty((joints, 5, LANES)), np.empty((max(motors, 1), 8, LANES))
     own_values, own_steady = np.empty((len(kinds), MOST_VALUES, LANES)), np.zeros((joints, LANES))
     own_pulls = np.empty((len(pulled), 6, LANES))
     room, friction = np.zeros((14, joints, LANES)), np.empty((4, len(rubbing), LANES))
@@ -98,7 +98,7 @@ def tree_rollout(
             for row in range(3):
                 own_gravity[row, i] = gravity[row, g]
             for a in range(motors):
-                for row in range(6):
+                for row in range(8):
                     own_law[a, row, i] = law[a, row, g]
             for m in range(len(kinds)):
                 for row in range(MOST_VALUES):

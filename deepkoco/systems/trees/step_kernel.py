@@ -25,7 +25,7 @@ from deepkoco.systems.trees.newton_euler_kernel import (
 )
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "7eb30ceffcb8b1d0"
+COMPILED_WITH = "216d6cec13fa03bc"
 
 
 @njit(error_model="numpy", nogil=True)
@@ -48,7 +48,7 @@ def accelerations(
     result,
 ):
     """Write the accelerations (J, LANES) of a block; the factors of the mass matrix stay in ``mass``."""
-    parent, turns, rotation, offset, reference, limits, drives, gear, force_limits = tree
+    parent, turns, rotation, offset, reference, limits, drives, gear = tree
     inertia, gravity, passive, law = own
     kinds, places, values, varies, pulled, pulls = effects
     joints = len(turns)
@@ -73,7 +73,7 @@ def accelerations(
         for row in range(10):
             for i in range(LANES):
                 s[k, INERTIA + row, i] = inertia[k, row, i]
-    deliver(drives, gear, force_limits, law, angle, speed, effort, forces)
+    deliver(drives, gear, law, angle, speed, effort, forces)
     for a in range(len(drives)):
         k = drives[a]
         for i in range(LANES):
@@ -170,7 +170,7 @@ def runge_kutta(
 @njit(error_model="numpy", nogil=True)
 def _levels_at(tree, own, effects, forces, steady, angle, speed, share, effort, scratch, level):
     """Levels of dry friction (J, LANES) at a share of the speed."""
-    drives, gear, force_limits = tree[6:]
+    drives, gear = tree[6:]
     kinds, places, values, varies = effects[:4]
     joints = len(angle)
     for k in range(joints):
@@ -180,7 +180,7 @@ def _levels_at(tree, own, effects, forces, steady, angle, speed, share, effort, 
         for k in range(joints):
             for i in range(LANES):
                 scratch[k, i] = share * speed[k, i]
-        deliver(drives, gear, force_limits, own[3], angle, scratch, effort, forces)
+        deliver(drives, gear, own[3], angle, scratch, effort, forces)
         add_levels(kinds, places, values, drives, forces, scratch, level)
 
 

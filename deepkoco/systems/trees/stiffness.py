@@ -16,8 +16,7 @@ import torch
 from torch import Tensor
 
 from deepkoco.systems.trees.dynamics import bias_forces, inverse_mass, mass_matrix
-from deepkoco.systems.trees.loads import Law
-from deepkoco.systems.trees.parameters import link_inertias
+from deepkoco.systems.trees.parameters import Law, link_inertias
 from deepkoco.systems.trees.scalars import Scalar, add, mul
 from deepkoco.systems.trees.scales import random_poses
 from deepkoco.systems.trees.tree import Actuator, Tree, TreeError
@@ -102,7 +101,7 @@ def resistances(
 ) -> tuple[list[Scalar], list[Scalar]]:
     """Damping [N m s/rad or N s/m] and stiffness [N m/rad or N/m] of each joint, with those of its servos."""
     dampings, springs = list(passive["damping"]), list(passive["stiffness"])
-    for actuator, (gain, bias) in zip(actuators, laws, strict=True):
+    for actuator, (gain, bias, _, _) in zip(actuators, laws, strict=True):
         j, square = actuator.joint, actuator.gear**2
         control = max(abs(actuator.low), abs(actuator.high))
         for kind, i in ((springs, 1), (dampings, 2)):

@@ -13,7 +13,9 @@ from deepkoco.systems.system import System
 from deepkoco.systems.trees.tree import Tree
 
 MOTIONS = 16
-IN_TIME = ("time_constant(", "delay(")  # of commands: an acceleration at one instant does not show them
+# An acceleration at one instant shows no time on the way of a command, and one far from the limits of the forces shows
+# no limit; a joint always follows a force.
+SHOWN_OTHERWISE = ("time_constant(", "delay(", "force_limit(")
 STEP = 1e-3  # of a parameter [prior standard deviations]
 FAINT = (
     1e-7  # change of an acceleration per prior standard deviation that is rounding, per largest acceleration
@@ -23,7 +25,7 @@ FAINT = (
 def visible_parameters(
     system: System, tree: Tree, declared: Sequence[Parameter], seed: int = 0
 ) -> tuple[Parameter, ...]:
-    """Those of the declared parameters that change an acceleration in random motions, and those in time.
+    """Those of the declared parameters that change an acceleration in random motions, those in time, and limits.
 
     Args:
         system: Equations of motion of the tree.
@@ -56,5 +58,5 @@ def visible_parameters(
     return tuple(
         p
         for p, c in zip(declared, change.tolist(), strict=True)
-        if c > FAINT * scale or p.name.startswith(IN_TIME)
+        if c > FAINT * scale or p.name.startswith(SHOWN_OTHERWISE)
     )

@@ -62,7 +62,7 @@ class ActuatorWriter:
         """Write every value that differs from the file's, but what effects change of lag and delay."""
         tensors = {n: torch.tensor(v, dtype=torch.float64) for n, v in self.values.items()}
         for number, actuator in enumerate(self.robot.tree.actuators):
-            gain, bias = actuator_law(actuator, tensors)
+            gain, bias, low, high = actuator_law(actuator, tensors)
             own, element = self.actuators[number], f'actuator "{actuator.name}"'
             file = self._in_file(actuator)
             for label, given, now in (("gainprm", file.gain, gain), ("biasprm", file.bias, bias)):
@@ -72,6 +72,13 @@ class ActuatorWriter:
                         self.note(element, f"{label} {i + 1}", before, float(after), "1", FITTED)
                         values[i] = float(after)
                 setattr(own, label, values)
+            forces = [float(low), float(high)]
+            for end, before, after in zip(
+                ("low", "high"), (file.force_low, file.force_high), forces, strict=True
+            ):
+                if not same(before, after):
+                    self.note(element, f"forcerange {end}", before, after, self._force_unit(file), FITTED)
+                    own.forcerange, own.forcelimited = forces, True
             self.lag[number] = self.values.get(f"time_constant({actuator.name})", actuator.time_constant)
             self.delay[number] = self.values.get(f"delay({actuator.name})", actuator.delay)
 
@@ -128,6 +135,9 @@ class ActuatorWriter:
                     "delay of the command (the file has half a time step more, for MuJoCo's interpolation)"
                 )
                 self.note(element, "delay", actuator.delay, self.delay[i], "s", reason)
+
+    def _force_unit(self, actuator: Actuator) -> str:
+        return "N" if self.robot.tree.joints[actuator.joint].slides else "N m"
 
     def _in_file(self, actuator: Actuator) -> Actuator:
         return next(own for own in self.file.actuators if own.name == actuator.name)

@@ -53,6 +53,7 @@ EXPRESSED = {
     "inertia_y(fore)": ((), {"inertia_y(fore)": 0.012}),
     "kp(bend)": ((), {"kp(bend)": 17.0}),
     "kv(bend)": ((), {"kv(bend)": 0.8}),
+    "force_limit(bend)": ((), {"force_limit(bend)": 1.2}),
     "gain(lift)": ((), {"gain(lift)": 0.8}),
     "springref(shoulder)": ((), {"springref(shoulder)": 0.5}),
     "armature(elbow)": ((), {"armature(elbow)": 0.05}),
