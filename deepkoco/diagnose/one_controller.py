@@ -34,7 +34,7 @@ def with_surplus_as_damping(declared: Baseline, values: Mapping[str, float]) -> 
     result = dict(values)
     for servo in _servos(declared):
         kept = declared.values[servo.rate] * values[servo.stiffness] / declared.values[servo.stiffness]
-        p, had = declared.system.parameter(servo.damping), values[servo.damping]
+        p, had = declared.system.parameter(servo.damping), result[servo.damping]
         damping = float(np.clip(had + servo.square * (values[servo.rate] - kept), p.low, p.high))
         result |= {servo.damping: damping, servo.rate: values[servo.rate] - (damping - had) / servo.square}
     return result

@@ -7,6 +7,7 @@ import pytest
 
 from deepkoco.diagnose.baseline import baseline_from
 from deepkoco.diagnose.one_controller import with_surplus_as_damping
+from deepkoco.systems import load_system
 from tests.fit.test_scale_search import stiff
 
 __all__ = ["stiff"]
@@ -38,3 +39,18 @@ def test_rate_gain_of_a_joint_without_damping_stands_for_that_too(start):
     )
     values = {**start.values, "kp(m_shoulder)": 90.0, "kv(m_shoulder)": 1.2}
     assert with_surplus_as_damping(replace(start, prior=own), values) == values
+
+
+def test_two_servos_of_a_joint_both_become_damping(tmp_path, stiff):
+    servos = "".join(f'<position name="{n}" joint="hinge" kp="10" kv="1"/>' for n in ("near", "far"))
+    (tmp_path / "arm.xml").write_text(
+        f"""<mujoco><worldbody><body><joint name="hinge" axis="0 1 0" damping="0.5"/>
+        <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.03" mass="1"/></body></worldbody>
+        <actuator>{servos}</actuator></mujoco>"""
+    )
+    arm = load_system(tmp_path / "arm.xml")
+    start = baseline_from(arm, stiff[1].take(np.zeros(0, dtype=int)))
+    values = {**start.values, "kv(near)": 3.0, "kv(far)": 2.0}
+    moved = with_surplus_as_damping(start, values)
+    gains = ("kv(near)", "kv(far)", "damping(hinge)")
+    assert sum(moved[n] for n in gains) == pytest.approx(sum(values[n] for n in gains))

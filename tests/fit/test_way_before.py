@@ -15,7 +15,8 @@ from deepkoco.fit import cut_windows
 from deepkoco.fit.data.halves import halved
 from deepkoco.fit.data.way_before import ABOVE_NOISE, POINTS, way_after, ways_before
 from deepkoco.fit.fit import FitProblem
-from deepkoco.systems import make_system
+from deepkoco.fit.simulate.simulator import predict
+from deepkoco.systems import ExtendedSystem, make_system
 from tests.oracle.hysteresis import HIDDEN, SYSTEM, hysteresis_log
 
 NOISE, DENSE = 1e-3, 40
@@ -37,7 +38,7 @@ def path_of(sizes, first=1.0, seed=None):
 def last_points(q, noise=NOISE, before=None):
     t = np.arange(len(q), dtype=float)
     at = np.array([t[-1] if before is None else before])
-    return ways_before({0: (t, q, noise)}, at, 1)[0, 0]
+    return ways_before({0: (t, q)}, [ABOVE_NOISE * noise], at, 1)[0, 0]
 
 
 @settings(deadline=None)
@@ -76,18 +77,18 @@ def test_a_way_goes_on_from_an_earlier_one(sizes, cut):
     _, dense = path_of(sizes)
     cut = min(cut, len(dense) - 2)
     earlier = last_points(dense, 1e-9, float(cut))
-    assert way_after(earlier[None], {0: (dense[cut + 1 :], 1e-9)})[0] == pytest.approx(
+    assert way_after(earlier[None], [1e-8], {0: dense[cut + 1 :]})[0] == pytest.approx(
         last_points(dense, 1e-9)
     )
 
 
 def test_nothing_is_known_before_a_gap_and_of_a_joint_without_encoder():
     t, q = np.arange(20.0), np.concatenate([np.linspace(0.0, 1.0, 10), np.linspace(0.9, 0.0, 10)])
-    way = ways_before({1: (t, q, 1e-3)}, np.array([5.0, 19.0]), 2, gaps=[(7.0, 12.5)])
+    way = ways_before({1: (t, q)}, [0.0, 6e-3], np.array([5.0, 19.0]), 2, gaps=[(7.0, 12.5)])
     assert not way[:, 0].any()
     assert (way[1, 1, :-1] == q[13]).all()
     assert way[1, 1, -1] == q[19]
-    assert ways_before({0: (t, np.full(20, np.nan), 1e-3)}, np.array([5.0]), 1).any() == False  # noqa: E712
+    assert not ways_before({0: (t, np.full(20, np.nan))}, [6e-3], np.array([5.0]), 1).any()
 
 
 @pytest.fixture
@@ -118,3 +119,11 @@ def test_windows_keep_their_ways(windows):
     assert torch.equal(half.way[::2], windows.way)
     # The second half begins where the first ends, one sample of 10 ms earlier.
     assert half.way[1::2, 0, -1].numpy() == pytest.approx(half.state[1::2, 0].numpy(), abs=0.12)
+
+
+def test_the_weights_of_a_fit_do_not_move_the_simulation(windows):
+    values = {"bristle.level": 0.6, "bristle.distance": 0.2}
+    system = ExtendedSystem(make_system(SYSTEM), ("bristle",), values)
+    louder = replace(windows, noise=tuple(n._replace(sd=10.0 * n.sd) for n in windows.noise))
+    found = [predict(system, w, system.default_parameters(), w.state[None]) for w in (windows, louder)]
+    assert torch.equal(*found)

@@ -51,6 +51,6 @@ def _ways_of_halves(windows: Windows, half: float) -> torch.Tensor:
     for w, way in enumerate(before):
         first = (windows.valid[w] & (windows.t[w] < half)).numpy()
         value = windows.value[w].numpy()
-        between = {s: (value[c, first[c]], windows.noise[c].sd) for c, s in shown}
-        result += [way, way_after(way, between)]
+        between = {s: value[c, first[c]] for c, s in shown}
+        result += [way, way_after(way, windows.unseen, between)]
     return torch.from_numpy(np.array(result).reshape(-1, *before.shape[1:]))

@@ -14,7 +14,7 @@ from deepkoco.fit.data.noise import Noise, estimate_noise, rates
 from deepkoco.fit.data.per_log_differences import Known, known_of
 from deepkoco.fit.data.rest import resting_stamps
 from deepkoco.fit.data.series import CommandSeries, channel_series
-from deepkoco.fit.data.way_before import POINTS, ways_before
+from deepkoco.fit.data.way_before import hidden_by, ways_of
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import Motion, System
 
@@ -58,6 +58,7 @@ class Windows:
         stamp_sd: Standard deviation of each log's time stamps [s]; empty where all stamps are exact.
         way: (W, J, P) positions of the joints at their last turning points before the window and at its start, see
             :mod:`.way_before`; None where no log tells.
+        unseen: Per joint, the way up to which noise of its encoder hid a motion from ``way``; 0 without an encoder.
         doubt: (W, N) factor of the noise of a channel in a window, at least 1; None for 1. See :mod:`..solve.robust`.
     """
 
@@ -78,6 +79,7 @@ class Windows:
     stamp_sd: tuple[float, ...] = ()
     doubt: Tensor | None = None
     way: Tensor | None = None
+    unseen: tuple[float, ...] = ()
 
     def __len__(self) -> int:
         return len(self.t0)
@@ -205,7 +207,9 @@ def cut_windows(
             if any(len(t) >= MIN_SAMPLES for t, _ in pieces.values()):
                 inside = still is not None and bool(((still >= t0) & (still < t0 + length)).any())
                 rows.append((index, t0, pieces, inside))
-    way = _ways(rows, recordings, [series for _, series in channels], system, noise)
+    unseen = hidden_by(noise, system)
+    log, t0s = (np.array([row[k] for row in rows], dtype=kind) for k, kind in ((0, int), (1, float)))
+    way = ways_of(recordings, [series for _, series in channels], log, t0s, system, unseen)
     size = max((len(t) for _, _, pieces, _ in rows for t, _ in pieces.values()), default=0)
     shape = (len(rows), len(names), size)
     t, value, valid = np.zeros(shape), np.zeros(shape), np.zeros(shape, dtype=bool)
@@ -220,8 +224,8 @@ def cut_windows(
     state = state.reshape(-1, 2 * system.joints)
     return Windows(
         tuple(commands),
-        np.array([row[0] for row in rows], dtype=int),
-        np.array([row[1] for row in rows]),
+        log,
+        t0s,
         step,
         steps,
         torch.from_numpy(t),
@@ -233,22 +237,8 @@ def cut_windows(
         shows,
         known_of(recordings, system),
         way=torch.from_numpy(way),
+        unseen=unseen,
     )
-
-
-def _ways(rows, recordings, series, system, noise) -> np.ndarray:
-    """(W, J, P) turning points before the windows, see :mod:`.way_before`."""
-    result = np.zeros((len(rows), system.joints, POINTS + 1))
-    log, t0 = np.array([row[0] for row in rows], dtype=int), np.array([row[1] for row in rows])
-    channels = [(c, s) for c, s in enumerate(system.measured_states) if s < system.joints]
-    for index, recording in enumerate(recordings):
-        own = {
-            s: (*series[index][name], noise[c].sd)
-            for c, s in channels
-            if (name := system.measurements[c].name) in series[index]
-        }
-        result[log == index] = ways_before(own, t0[log == index], system.joints, recording.unknown)
-    return result
 
 
 def _grid(stamps: Sequence[np.ndarray], length: float, longest: float) -> tuple[float, int, bool]:

@@ -9,7 +9,6 @@ import torch
 from torch import Tensor
 
 from deepkoco.fit.data.per_log_differences import amounts, of_windows
-from deepkoco.fit.data.way_before import ABOVE_NOISE
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.simulate.bytecode.along_windows import along_windows
 from deepkoco.fit.simulate.command_effort import command_efforts
@@ -86,16 +85,10 @@ def integrate(
                 found.value, (*(v[:-1] for v in fast), *found.first), (*(v[1:] for v in fast), *found.last)
             )
     way = None if windows.way is None else windows.way.permute(2, 1, 0)[..., None]
-    given = StepsInput(h, parts, t0, start, slope, pushes, bool(apart), way, _unseen(windows, joints))
+    given = StepsInput(h, parts, t0, start, slope, pushes, bool(apart), way, windows.unseen)
     if (fast := along_windows(system, own, lanes, given)) is not None:
         return fast
     return in_torch(equations, given)
-
-
-def _unseen(windows: Windows, joints: int) -> tuple[float, ...]:
-    """Per joint, the way up to which the noise of its encoder hides a motion; 0 for one that is not measured."""
-    sd = dict(zip(windows.shows, windows.noise, strict=False))
-    return tuple(ABOVE_NOISE * sd[j].sd if j in sd else 0.0 for j in range(joints))
 
 
 def predict(

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from deepkoco.diagnose import diagnose
+from deepkoco.diagnose import Diagnosis, diagnose
 from deepkoco.logs.recording import Recording, Series
 from deepkoco.output.whole_file import whole_file
 from deepkoco.systems.trees import TreeSystem
@@ -132,13 +132,20 @@ def row_of(seed: int, healthy: bool) -> dict[str, Any]:
         "largest_force": f"{most[joint]:.2f}",
         "verdict": found.verdict,
         "named": " ".join(c.name for c in found.causes),
-        "right": int(same == (kind in ("limit", "back_emf")) and len(found.causes) <= 1),
+        "right": int(_right(kind, same, found)),
         "value": "" if shown is None else f"{shown.value + more:.3f}",
         "low": "" if shown is None else f"{shown.low + more:.3f}",
         "high": "" if shown is None else f"{shown.high + more:.3f}",
         "within": "" if shown is None else int(shown.low <= truth - more <= shown.high),
         "cpu_s": f"{spent:.0f}",
     }
+
+
+def _right(kind: str, same: bool, found: Diagnosis) -> bool:
+    """Whether what is hidden is named alone, and nothing where nothing shows."""
+    if kind in ("limit", "back_emf"):
+        return same and len(found.causes) == 1
+    return found.verdict == "nothing"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -83,7 +83,7 @@ class Kind:
     quiet: bool = False
 
 
-DRY = ("coulomb({j})", "stribeck({j})", "bristle({j})", "changed(frictionloss({j}))")
+DRY = ("coulomb({j})", "stribeck({j})", "bristle({j})", "lugre({j})", "changed(frictionloss({j}))")
 CARRIED = ("payload", "payload({b})", "changed(mass({b}))")
 # The factor acts on all of a drive: of a servo that is its strength.
 GAINS = ("gain({j})", "gain(all)", "drive_strength({j})", "changed(gain({a}))", "changed(kp({a}))")

@@ -11,7 +11,7 @@ from experiments.studies.diagnosis.hidden_cause.kinds import NOTHING
 from experiments.studies.diagnosis.hidden_cause.questions import Handed, Question, Truth
 from experiments.studies.diagnosis.real_log_studies import STUDIES, FitRequest, Study
 
-DRY = frozenset({"coulomb", "stribeck", "bristle", "load_friction"})
+DRY = frozenset({"coulomb", "stribeck", "bristle", "lugre", "load_friction"})
 LATE = frozenset({"actuation_delay", "sensing_delay", "lag"})
 # What a person who knows the unit would say; nobody knows the others.
 KNOWN: dict[tuple[str, str], tuple[str, frozenset[str]]] = {
