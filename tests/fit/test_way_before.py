@@ -82,6 +82,13 @@ def test_a_way_goes_on_from_an_earlier_one(sizes, cut):
     )
 
 
+def test_a_single_wrong_reading_is_no_way():
+    _, dense = path_of([0.5, 0.3, 0.4])
+    wrong = dense.copy()
+    wrong[50] += 3.0
+    assert last_points(wrong) == pytest.approx(last_points(dense), abs=0.03)
+
+
 def test_nothing_is_known_before_a_gap_and_of_a_joint_without_encoder():
     t, q = np.arange(20.0), np.concatenate([np.linspace(0.0, 1.0, 10), np.linspace(0.9, 0.0, 10)])
     way = ways_before({1: (t, q)}, [0.0, 6e-3], np.array([5.0, 19.0]), 2, gaps=[(7.0, 12.5)])

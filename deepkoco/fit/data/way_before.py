@@ -81,7 +81,7 @@ def ways_before(
     ends = np.sort(np.array([end for _, end in gaps]))
     for joint, (stamps, positions) in series.items():
         known = np.isfinite(positions)
-        t, q = stamps[known], positions[known]
+        t, q = stamps[known], _without_glitches(positions[known])
         if len(t):
             at = np.searchsorted(t, starts, side="right")
             since = np.zeros(len(starts), dtype=np.int64)
@@ -103,10 +103,16 @@ def way_after(way: np.ndarray, unseen: Sequence[float], positions: Mapping[int, 
     result = way.copy()
     for joint, since in positions.items():
         if len(since):
-            q = np.concatenate([way[joint], since])
+            q = np.concatenate([way[joint], _without_glitches(since)])
             begin, end = np.zeros(1, dtype=np.int64), np.array([len(q)])
             _turning_points(q, end, begin, unseen[joint], result[joint][None])
     return result
+
+
+def _without_glitches(q: np.ndarray) -> np.ndarray:
+    """Positions in which no single sample stands out: a median of three. A wrong reading is no way there and back."""
+    inner = np.median(np.stack([q[:-2], q[1:-1], q[2:]]), axis=0) if len(q) > 2 else q[1:-1]
+    return np.concatenate([q[:1], inner, q[-1:]]) if len(q) > 1 else q
 
 
 @njit(cache=True)
