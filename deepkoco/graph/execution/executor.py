@@ -19,6 +19,10 @@ class NotCompiledError(RuntimeError):
     """A function cannot be compiled on this machine; the message says why."""
 
 
+class NoDerivativeError(NotCompiledError):
+    """A graph can be compiled, but not its derivative; the message says why."""
+
+
 class Executor(Protocol[Held]):
     """Runs a graph for a batch of environments, on states of a kind of its own.
 
@@ -41,6 +45,7 @@ class Executor(Protocol[Held]):
 
         Raises:
             NotCompiledError: a compiled executor cannot run this graph.
+            NoDerivativeError: it can where no gradients are wanted.
         """
         ...
 
@@ -49,6 +54,7 @@ class Executor(Protocol[Held]):
 
         Raises:
             NotCompiledError: a compiled executor cannot run this graph.
+            NoDerivativeError: it can where no gradients are wanted.
         """
         ...
 

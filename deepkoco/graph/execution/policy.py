@@ -66,4 +66,4 @@ def recorded_names(record: tuple[str, ...] | None, state: RuntimeState) -> tuple
     for name in record or ():
         if name not in known:
             raise ValueError(f'"{name}" is no reading; known: {", ".join(known)}')
-    return known if record is None else tuple(record)
+    return known if record is None else tuple(dict.fromkeys(record))

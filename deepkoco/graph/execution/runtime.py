@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from deepkoco.graph.execution.eager import EagerExecutor
-from deepkoco.graph.execution.executor import Executor, NotCompiledError
+from deepkoco.graph.execution.executor import Executor, NoDerivativeError, NotCompiledError
 from deepkoco.graph.execution.initial import EpisodeSetup
 from deepkoco.graph.execution.policy import Policy, recorded_names
 from deepkoco.graph.execution.schedule import Schedule
@@ -34,7 +34,7 @@ class BatchedRuntime:
     - `eager`: torch operations; any node, any device (CUDA with `device="cuda"`), gradients.
     - `fused`: node functions compiled into one C++ kernel; CPU. Gradients come from a reverse kernel, which is made
       when they are first wanted. Where a node cannot be compiled or there is no compiler, a warning says so and
-      `eager` runs.
+      `eager` runs; where only a derivative cannot be, it runs the calls that want gradients.
     - `cuda`: the slots of a supervisor step captured as one CUDA graph; a CUDA device, no gradients.
 
     Args:
@@ -65,6 +65,7 @@ class BatchedRuntime:
         if timing is not None:
             timing.check_graph(graph)
         self._executor: Executor[Any] = _make_executor(executor, graph, self.device, threads)
+        self._eager: EagerExecutor | None = None  # for gradients that are not compiled
         self._schedule = None if timing is None else Schedule(timing, self.device)
 
     @property
@@ -123,16 +124,20 @@ class BatchedRuntime:
         if not isinstance(generator, torch.Generator) and len(generator) != len(row):
             raise ValueError(f"{len(generator)} generators for {len(row)} environments")
         start = self._executor.start(EpisodeSetup(schedule, row, parameters, generator, initial or {}))
+        if state is None or mask is None:
+            return self._with_fallback(lambda executor: _seen(executor, executor.begin(start, trace)))
+        chosen = np.asarray(mask, dtype=np.bool_)
         fresh = self._with_fallback(lambda executor: executor.begin(start, trace))
-        if state is not None and mask is not None:
-            chosen = np.asarray(mask, dtype=np.bool_)
-            if not len(row) == len(chosen) == state.batch:
-                raise ValueError(
-                    f"mask of {len(chosen)} and rows of {len(row)} for {state.batch} environments that run"
-                )
-            # Either may be of another kind: a copy, or of before the eager executor took over.
-            fresh = self._executor.merge(self._adopted(state), self._adopted(fresh), chosen)
-        return fresh, self._executor.inputs(fresh)
+        if not len(row) == len(chosen) == state.batch:
+            raise ValueError(
+                f"mask of {len(chosen)} and rows of {len(row)} for {state.batch} environments that run"
+            )
+
+        def partly_fresh(executor: Executor[Any]) -> tuple[RuntimeState, Mapping[str, Input]]:
+            # Either may be of another kind: a copy, or of where the eager executor took over.
+            return _seen(executor, executor.merge(executor.adopt(state), executor.adopt(fresh), chosen))
+
+        return self._with_fallback(partly_fresh)
 
     def step(
         self, state: RuntimeState, action: Tensor | np.ndarray, trace: Trace | None = None
@@ -150,8 +155,9 @@ class BatchedRuntime:
         Raises:
             HorizonError: the timing of an environment ends here.
         """
-        state = self._with_fallback(lambda executor: executor.step(executor.adopt(state), action, trace))
-        return state, self._executor.inputs(state)
+        return self._with_fallback(
+            lambda executor: _seen(executor, executor.step(executor.adopt(state), action, trace))
+        )
 
     def rollout(
         self,
@@ -194,14 +200,19 @@ class BatchedRuntime:
             lambda executor: executor.rollout(executor.adopt(state), policy, steps, parameters, names)
         )
 
-    def _adopted(self, state: RuntimeState) -> RuntimeState:
-        """The state as the executor keeps it."""
-        return self._with_fallback(lambda executor: executor.adopt(state))
-
     def _with_fallback(self, run: Callable[[Executor[Any]], Result]) -> Result:
-        """Run with the executor that was asked for; with the eager one from where a graph is not compiled on."""
+        """Run with the executor that was asked for; with the eager one from where a graph is not compiled on.
+
+        Where only its derivative is not, the eager executor runs this call alone.
+        """
         try:
             return run(self._executor)
+        except NoDerivativeError as error:
+            if self._eager is None:
+                message = f"{error}; where gradients are wanted, this graph runs with the eager executor"
+                warnings.warn(message, RuntimeWarning, stacklevel=4)
+                self._eager = EagerExecutor(self.graph, self.device)
+            return run(self._eager)
         except NotCompiledError as error:
             warnings.warn(f"{error}; this graph runs with the eager executor", RuntimeWarning, stacklevel=4)
             self._executor = EagerExecutor(self.graph, self.device)
@@ -214,6 +225,11 @@ class BatchedRuntime:
                     f'node "{node.name}" is not pure: it runs in one environment and with executor="eager", '
                     f'not in {batch} with "{self.executor}"'
                 )
+
+
+def _seen(executor: Executor[Any], state: RuntimeState) -> tuple[RuntimeState, Mapping[str, Input]]:
+    """A state, and what the supervisor sees."""
+    return state, executor.inputs(state)
 
 
 def _make_executor(name: str, graph: Graph, device: torch.device, threads: int) -> Executor[Any]:

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from deepkoco.graph.execution import cells
 from deepkoco.graph.execution.eager import EagerExecutor
-from deepkoco.graph.execution.executor import NotCompiledError, take_steps
+from deepkoco.graph.execution.executor import NoDerivativeError, NotCompiledError, take_steps
 from deepkoco.graph.execution.fused.adjoint.kernel import AdjointKernel
 from deepkoco.graph.execution.fused.adjoint.leaves import leaves_of, wants_gradients
 from deepkoco.graph.execution.fused.adjoint.rollout import differentiable_rollout
@@ -58,12 +58,18 @@ class FusedExecutor:
         self.graph, self.threads = graph, threads
         self.eager = EagerExecutor(graph, device)
         self._kernels: dict[Any, Kernel] = {}
+        self._refused: dict[Any, str] = {}
         self._bindings: dict[Any, Binding] = {}
         self._policies: OrderedDict[Any, CompiledPolicy | None] = OrderedDict()
 
     def __getstate__(self) -> dict[str, Any]:
         # Machine code and addresses belong to this process: a copy makes its own.
-        return self.__dict__ | {"_kernels": {}, "_bindings": {}, "_policies": OrderedDict()}
+        return self.__dict__ | {
+            "_kernels": {},
+            "_refused": {},
+            "_bindings": {},
+            "_policies": OrderedDict(),
+        }
 
     def start(self, setup: EpisodeSetup) -> RuntimeState:
         return self.eager.start(setup)
@@ -98,16 +104,28 @@ class FusedExecutor:
         assert state.twin is not None
         return state.twin
 
+    def _without_leaves(self, state: FusedState) -> FusedState:
+        """The state on the forward kernel: one with a way back does what nodes do where gradients are wanted."""
+        if not isinstance(state.binding.kernel, AdjointKernel):
+            return state
+        if state.twin is None:
+            plain = state.unpacked()
+            state.__dict__["twin"] = self._pack(self._kernel(plain), plain)
+        assert state.twin is not None
+        return state.twin
+
     def step(self, state: FusedState, action: Tensor | np.ndarray, trace: Trace | None = None) -> FusedState:
-        binding = state.binding
         if trace is not None:
             after = self.eager.step(state.unpacked(), torch.as_tensor(action), trace)
             return self.adopt(after)
+        state = state.current()
         if wants_gradients(state, action if isinstance(action, Tensor) else None):
             action = torch.as_tensor(action)
-            binding.action(action)
+            state.binding.action(action)
             start = self._with_leaves(state)
             return differentiable_rollout(start, 1, (), self.threads, actions=action[None])[0]
+        state = self._without_leaves(state)
+        binding = state.binding
         action = binding.action(action)
         moving = binding.allocate()
         spent = binding.kernel.step(
@@ -126,16 +144,18 @@ class FusedExecutor:
         record: tuple[str, ...],
     ) -> tuple[FusedState, dict[str, Tensor]]:
         """Take steps inside the kernel; see `BatchedRuntime.rollout`."""
+        state = state.current()
         if isinstance(policy, Tensor):
             shape = state.binding.action_shape[1:]
             given = given_actions(policy, state, steps, shape)
             if wants_gradients(state, given):
                 start = self._with_leaves(state)
                 return differentiable_rollout(start, steps, record, self.threads, actions=given)
-            return run_rollout(state, steps, record, self.threads, actions=given)
+            return run_rollout(self._without_leaves(state), steps, record, self.threads, actions=given)
         function, values = as_function(policy, parameters)
         if wants_gradients(state, *values.values()):
             return self._steps(self._with_leaves(state), function, values, steps, record)
+        state = self._without_leaves(state)
         compiled = self._policy(state, function, values)
         if compiled is not None:
             weights = compiled.pack(values)
@@ -187,13 +207,14 @@ class FusedExecutor:
         if leaves or running.binding is not fresh.binding:
             merged = self.eager.merge(running.unpacked(), fresh.unpacked(), mask)
             return self.adopt(merged)
-        return self._merge_records(running, fresh, mask)
+        return self._merge_records(running.current(), fresh, mask)
 
     def _kernel(self, state: RuntimeState, gradients: bool = False) -> Kernel:
         """The graph's machine code for states of this shape, with the way back if gradients are wanted.
 
         Raises:
             NotCompiledError: the graph cannot be compiled.
+            NoDerivativeError: it can, but not its derivative.
         """
         lanes = 1 if state.batch <= FEW else 0
         parts = {**state.parameters, **{f"{n} state": s for n, s in state.nodes.items()}}
@@ -207,14 +228,26 @@ class FusedExecutor:
                 for key, value in values.items()
             ),
         )
+        if signature in self._refused:
+            raise NoDerivativeError(self._refused[signature])
         if signature not in self._kernels:
-            outputs = {n: own[0] for n, own in state.outputs.items()}
-            programs = trace_graph(self.graph, state.parameters, state.nodes, outputs, gradients)
-            double = any(program.output[0] == torch.float64 for program in programs)
-            write, kind = (adjoint_source, AdjointKernel) if gradients else (kernel_source, Kernel)
-            source = write(self.graph, programs, lanes or (8 if double else 16))
-            self._kernels[signature] = kind(self.graph, programs, source)
+            try:
+                self._kernels[signature] = self._compile(state, lanes, gradients)
+            except NotCompiledError as error:
+                if not gradients:
+                    raise
+                self._kernel(state)
+                self._refused[signature] = str(error)
+                raise NoDerivativeError(str(error)) from error
         return self._kernels[signature]
+
+    def _compile(self, state: RuntimeState, lanes: int, gradients: bool) -> Kernel:
+        outputs = {n: own[0] for n, own in state.outputs.items()}
+        programs = trace_graph(self.graph, state.parameters, state.nodes, outputs, gradients)
+        double = any(program.output[0] == torch.float64 for program in programs)
+        write, kind = (adjoint_source, AdjointKernel) if gradients else (kernel_source, Kernel)
+        source = write(self.graph, programs, lanes or (8 if double else 16))
+        return kind(self.graph, programs, source)
 
     def _bind(self, kernel: Kernel, schedule: Schedule, batch: int) -> Binding:
         key = id(kernel), id(schedule), batch

@@ -128,9 +128,8 @@ def kernel_source(
         "HOISTED": max(8, bodies.hoisted.size),
         "OBSERVES": int(supervisor.trace is not None),
     }
-    check_stack(
-        lanes * (bodies.deepest + sum(defines[k] for k in ("STAGE", "STATE", "OUTPUT", "ACTION", "HOISTED")))
-    )
+    defines |= bodies.defines
+    check_stack(lanes * (bodies.deepest + sum(n * defines[name] for name, n in bodies.buffers.items())))
     text = "\n".join(
         [
             f"#define W {lanes}",
@@ -179,6 +178,8 @@ class Bodies:
         prologues: statements that run once for a rollout, before the first step.
         pool, hoisted: large constants, and places for what the prologue hands to the functions.
         deepest: most bytes per lane that a function takes from the stack.
+        defines: sizes of what stands behind the kernel [bytes per lane].
+        buffers: by name of a size, how many buffers of it the loops around the functions hold on the stack at once.
     """
 
     def __init__(
@@ -194,6 +195,8 @@ class Bodies:
         self.texts: list[str] = []
         self.prologues: list[str] = []
         self.pool, self.hoisted, self.deepest = Pool(), Hoisted(), 0
+        self.defines: dict[str, int] = {}
+        self.buffers = dict.fromkeys(("STAGE", "STATE", "OUTPUT", "ACTION", "HOISTED"), 1)
 
     def add(self, head: str, body: Body) -> None:
         """Append a finished body as a function with this name and these arguments."""

@@ -45,15 +45,18 @@ class FusedState(RuntimeState):
         binding: the kernel and the tables of the schedule.
         place: lanes of the environments.
         parameters: as they were given.
+        changing: those whose changes in place can be told, and `versions`: of each when it was packed.
         fixed, moving: records of the blocks; `fixed` is shared by all states of an episode.
         leaves: the same numbers as tensors (B, ...) with gradients, where these are wanted: states ("s", node, name),
             last outputs ("o", node), oldest first, and readings ("r", name).
-        twin: the same state with leaves, once one has been made.
+        twin: the same state with leaves, or without where this one has them, once one has been made.
         layouts: by number of steps, those of tapes that begin here.
     """
 
     binding: Binding
     place: Place
+    changing: list[Tensor]
+    versions: list[int]
     fixed: Memory
     moving: Memory
     leaves: Leaves | None
@@ -69,7 +72,10 @@ class FusedState(RuntimeState):
         fixed: Memory,
         moving: Memory,
     ) -> None:
+        # Tensors of torch.inference_mode do not count their changes.
+        changing = [v for own in parameters.values() for v in own.values() if not v.is_inference()]
         self.__dict__.update(binding=binding, place=place, row=row, parameters=parameters)
+        self.__dict__.update(changing=changing, versions=[v._version for v in changing])
         self.__dict__.update(
             schedule=binding.schedule, fixed=fixed, moving=moving, leaves=None, twin=None, layouts={}
         )
@@ -78,6 +84,22 @@ class FusedState(RuntimeState):
         """The same environments with other moving records."""
         state = object.__new__(FusedState)
         state.__dict__.update(self.__dict__, moving=moving, leaves=leaves, twin=None, layouts={})
+        return state
+
+    def current(self) -> "FusedState":
+        """The same state with the parameters as they are now: some may have been changed in place."""
+        versions = [value._version for value in self.changing]
+        if versions == self.versions:
+            return self
+        # In memory of its own: the way back of earlier rollouts reads the old numbers.
+        state = self.after(self.moving, self.leaves)
+        blocks, lanes = self.binding.blocks, self.binding.kernel.lanes
+        fixed = self.binding.allocate(fixed=True)
+        fixed.rows(1)[...] = self.fixed.rows(1)
+        records = Records(fixed.rows(blocks), lanes)
+        for (name, key), field in self.binding.kernel.source.parameters.items():
+            records.pack(field, self.parameters[name][key], self.place.source)
+        state.__dict__.update(fixed=fixed, versions=versions, layouts=self.layouts)
         return state
 
     @property

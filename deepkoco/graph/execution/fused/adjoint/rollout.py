@@ -136,7 +136,8 @@ class _Rollout(torch.autograd.Function):
         ctx.set_materialize_grads(False)
         ctx.work = work
         ctx.shapes = [(value.dtype, tuple(value.shape)) for value in inputs]
-        taken = [work.call.taken[name] for name in work.readings]
+        # The work must not hold what is returned, which holds the work.
+        taken = [work.call.taken.pop(name) for name in work.readings]
         ctx.mark_non_differentiable(*(value for value in taken if not value.is_floating_point()))
         kind = work.layout.numbers or torch.float64
         numbers = binding.blocks * kernel.lanes * work.layout.record_size // kind.itemsize

@@ -62,9 +62,11 @@ def _backs(bodies: Bodies) -> str:
         names.append(f"back_{index}")
         staged.append(int(memory))
         endings += _early_back(bodies, name, back.early_back, starts)
+    # In `reverse.h`: bar_stage; new_bar of a pullback and of the supervisor, state_bar, zero; reading_bar, lanes; EB.
+    bodies.defines["EARLY"] = max(8, values)
+    bodies.buffers |= {"STAGE": 2, "STATE": 4, "READINGS": 2, "EARLY": 1}
     return "\n".join(
         [
-            f"#define EARLY {max(8, values)}",
             f"typedef void (*Back)({_ARGUMENTS});",
             f"static const Back BACKS[] = {{{', '.join(names)}}};",
             f"static const bool BACK_STAGED[] = {{{', '.join(map(str, staged))}}};",

@@ -1,6 +1,8 @@
 """Gradients of rollouts in the fused executor are those of the eager one."""
 
 import copy
+import gc
+import weakref
 
 import numpy as np
 import pytest
@@ -176,6 +178,26 @@ def test_without_gradients_nothing_is_kept():
     torch.testing.assert_close(taken["observation"].detach(), again["observation"], rtol=1e-5, atol=1e-5)
     torch.testing.assert_close(state.nodes["world"]["state"].detach(), plain.nodes["world"]["state"])
     assert not copy.deepcopy(plain).nodes["world"]["state"].requires_grad
+
+
+def test_a_tape_goes_with_the_last_result_of_its_rollout():
+    work = Pendulums("fused", 5)
+    state, taken = work.runtime.rollout(work.reset(), work.actions)
+    # Autograd makes the context of a function its node: that holds the work and its tape.
+    tape = weakref.ref(taken["observation"].grad_fn.work.tape)
+    taken["observation"].sum().backward()
+    gc.disable()  # which would find a circle of references, some time
+    try:
+        del state, taken
+        assert tape() is None
+    finally:
+        gc.enable()
+
+
+def test_a_reading_that_is_named_twice_is_recorded_once():
+    work = Pendulums("fused", 5)
+    _, taken = work.runtime.rollout(work.reset(), work.actions, record=["observation", "observation"])
+    assert list(taken) == ["observation"]
 
 
 def test_a_rollout_beyond_the_timing_says_so():

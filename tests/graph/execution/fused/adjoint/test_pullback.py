@@ -7,7 +7,7 @@ from compiled import Apply
 from torch import Tensor
 from torch.nn import functional as F
 
-from deepkoco.graph import BatchedRuntime, Connection, Graph, Supervisor, draw_timing
+from deepkoco.graph import BatchedRuntime, Connection, Graph, Node, Supervisor, draw_timing
 
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
 
@@ -134,3 +134,26 @@ def test_an_operation_without_a_derivative_is_named_and_runs_eagerly():
         _, inputs = runtime.reset({}, torch.Generator())
     found = torch.autograd.grad(weighted(inputs["apply"].data[:, 0]), own)[0]
     torch.testing.assert_close(found, expected(function, x))
+
+
+class Large(Node):
+    """Holds a long vector, which it shrinks."""
+
+    def init(self, parameters, generator, batch):
+        return {"x": torch.ones(batch, 20_000, dtype=torch.float64)}
+
+    def initial_output(self, parameters, state, batch):
+        return state["x"][:, 0]
+
+    def step(self, parameters, state, inputs):
+        return {"x": state["x"] * parameters["decay"]}, state["x"][:, 0]
+
+
+def test_what_the_way_back_works_on_at_once_is_counted():
+    agent = Supervisor("agent", 10, initial_action=torch.zeros(1))
+    graph = Graph([Large("large", 10), agent], [Connection("large", "agent")])
+    runtime = BatchedRuntime(graph, draw_timing(graph, np.random.default_rng(0), 1, 5), executor="fused")
+    decay = torch.full((), 0.9, dtype=torch.float64)
+    runtime.reset({"large": {"decay": decay}}, torch.Generator())  # without gradients it fits
+    with pytest.warns(RuntimeWarning, match="MB are worked on at once"):
+        runtime.reset({"large": {"decay": decay.requires_grad_()}}, torch.Generator())
