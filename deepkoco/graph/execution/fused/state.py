@@ -1,6 +1,7 @@
 """States of the fused executor: flat buffers, unpacked when they are looked at."""
 
 from collections.abc import Iterator, Mapping
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from deepkoco.graph.execution.state import RuntimeState
 from deepkoco.graph.model.node import State
 
 Leaves = Mapping[tuple[str, ...], Tensor]
+_CHANGES = attrgetter("_version")  # how often a tensor has been changed in place
 
 
 class Place:
@@ -45,7 +47,7 @@ class FusedState(RuntimeState):
         binding: the kernel and the tables of the schedule.
         place: lanes of the environments.
         parameters: as they were given.
-        changing: those whose changes in place can be told, and `versions`: of each when it was packed.
+        changing: those whose changes in place can be told, and `changes`: how many there were when they were packed.
         fixed, moving: records of the blocks; `fixed` is shared by all states of an episode.
         leaves: the same numbers as tensors (B, ...) with gradients, where these are wanted: states ("s", node, name),
             last outputs ("o", node), oldest first, and readings ("r", name).
@@ -56,7 +58,7 @@ class FusedState(RuntimeState):
     binding: Binding
     place: Place
     changing: list[Tensor]
-    versions: list[int]
+    changes: int
     fixed: Memory
     moving: Memory
     leaves: Leaves | None
@@ -75,7 +77,7 @@ class FusedState(RuntimeState):
         # Tensors of torch.inference_mode do not count their changes.
         changing = [v for own in parameters.values() for v in own.values() if not v.is_inference()]
         self.__dict__.update(binding=binding, place=place, row=row, parameters=parameters)
-        self.__dict__.update(changing=changing, versions=[v._version for v in changing])
+        self.__dict__.update(changing=changing, changes=sum(map(_CHANGES, changing)))
         self.__dict__.update(
             schedule=binding.schedule, fixed=fixed, moving=moving, leaves=None, twin=None, layouts={}
         )
@@ -88,8 +90,8 @@ class FusedState(RuntimeState):
 
     def current(self) -> "FusedState":
         """The same state with the parameters as they are now: some may have been changed in place."""
-        versions = [value._version for value in self.changing]
-        if versions == self.versions:
+        changes = sum(map(_CHANGES, self.changing))
+        if changes == self.changes:
             return self
         # In memory of its own: the way back of earlier rollouts reads the old numbers.
         state = self.after(self.moving, self.leaves)
@@ -99,7 +101,7 @@ class FusedState(RuntimeState):
         records = Records(fixed.rows(blocks), lanes)
         for (name, key), field in self.binding.kernel.source.parameters.items():
             records.pack(field, self.parameters[name][key], self.place.source)
-        state.__dict__.update(fixed=fixed, versions=versions, layouts=self.layouts)
+        state.__dict__.update(fixed=fixed, changes=changes, layouts=self.layouts)
         return state
 
     @property
