@@ -38,6 +38,9 @@ class EpisodeBuffer:
 
     Episodes stay the tensors they were collected as, so one more costs no copy of those before. Frames are
     stored once each; the d frames of an observation are put together when chunks are drawn.
+
+    Attributes:
+        discount: gamma of episodes that are added from now on.
     """
 
     def __init__(self, history: int = 1, discount: float = 0.0) -> None:
@@ -47,7 +50,7 @@ class EpisodeBuffer:
             history: d, recordings that an observation is made of: 1 for states, more for frames.
             discount: gamma; the learned costs are those to come, see `discounted_mean`.
         """
-        self._history, self._discount = history, discount
+        self._history, self.discount = history, discount
         self._episodes: list[Episode] = []
         self._lengths = torch.empty(0, dtype=torch.int64)
 
@@ -74,7 +77,7 @@ class EpisodeBuffer:
         for e in episodes:
             frames = e.observations.dtype == torch.uint8
             observations = e.observations if frames else e.observations.float()
-            costs = discounted_mean(e.costs, self._discount)
+            costs = discounted_mean(e.costs, self.discount)
             self._episodes.append(Episode(observations, e.actions.float(), costs))
         self._lengths = torch.cat([self._lengths, torch.tensor([e.costs.numel() for e in episodes])])
 

@@ -97,7 +97,8 @@ def collect_episodes(
         envs: B environments.
         agent: For B environments.
         seed: Passed to `envs.reset`.
-        record: Keep the observations; off, the episodes hold none, which is enough for their costs.
+        record: Keep the observations; off, the episodes hold none, which is enough for their costs, and an end that
+            the task made is an empty `final`.
 
     Returns:
         B episodes in the order of the environments.
@@ -123,10 +124,11 @@ def collect_episodes(
         costs.append(-np.asarray(reward, dtype=np.float32))
         length += running
         ended = terminated | truncated
-        if record and not frames:
+        if not frames:
             shown = info["final_obs"] if mode == AutoresetMode.SAME_STEP and ended.any() else observation
             for i in np.flatnonzero(running & terminated):
-                finals[int(i)] = torch.from_numpy(np.array(shown[i], dtype=kept))
+                last = shown[i] if record else shown[i][:0]
+                finals[int(i)] = torch.from_numpy(np.array(last, dtype=kept))
         running &= ~ended
         if ended.any() and running.any() and not restarts:
             observation, info = envs.reset(options={"reset_mask": ended})

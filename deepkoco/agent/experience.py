@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from deepkoco.agent.buffer import Episode, EpisodeBuffer
 from deepkoco.agent.config import TrainingConfig
+from deepkoco.agent.discounting import discounted_mean
 from deepkoco.agent.first_episodes import calm_rounds, planner_of_linear, task_units
 from deepkoco.agent.fitted_settings import fitted
 from deepkoco.agent.replay_files import read_replay, write_replay
@@ -96,6 +98,49 @@ class Experience:
         weight = float(self.learning.model.action_weight)
         return weight if self.scale is None else self.scale.of_steps.action_weight(weight)
 
+    @property
+    def decided(self) -> dict[str, Any]:
+        """Settings that the first episodes called for; none where all are those given."""
+        own = self.learning
+        if own == self._config:
+            return {}
+        return {
+            "horizon": own.horizon,
+            "planner_horizon": own.planner.horizon,
+            "cost_discount": own.cost_discount,
+        }
+
+    @property
+    def decision(self) -> str:
+        """`decided` as a sentence; empty for nothing."""
+        own = self.learning
+        if own == self._config:
+            return ""
+        costs = f" and costs to come with gamma = {own.cost_discount:g}" if own.cost_discount else ""
+        return f"the first episodes call for T = {own.horizon}, H = {own.planner.horizon}{costs}"
+
+    def predicted_costs(self, episodes: Sequence[Episode], linear: bool) -> list[Array] | None:
+        """What the steps of episodes cost, counted as the model that acted predicts it.
+
+        Args:
+            episodes: As they were recorded; their observations may be empty.
+            linear: Whether EDMDc acted, and not a network.
+
+        Returns:
+            Of each episode the costs of its steps (L,), or the means of those to come: (L,), (L + 1,) behind an end
+            that the task made. None for EDMDc beside a network that learns costs to come in the units of the task: some
+            candidates learn these, one does not, and a model does not say what it learned.
+        """
+        scale = self.scale
+        if scale is None or not scale.discount:
+            gamma = 0.0 if linear else self.buffer.discount
+            found = [discounted_mean(episode.costs, gamma) for episode in episodes]
+        elif linear:
+            return None
+        else:
+            found = [scale.predicted_costs(episode) for episode in episodes]
+        return [costs.double().numpy() for costs in found]
+
     def state_dict(self) -> dict[str, Any]:
         """What a checkpoint needs beside the files of the replay."""
         return {"scale": None if self.scale is None else self.scale.state_dict()}
@@ -109,6 +154,9 @@ class Experience:
         """
         if state.get("scale") is not None:
             self.scale = TaskScale.from_state(state["scale"])
+            if not self.scale.discount:
+                # An earlier release scaled the costs of steps first and took means in the buffer: it goes on so.
+                self.buffer.discount = self._config.cost_discount
         episodes = read_replay(self._folder, iterations)
         if iterations:
             self._fit(episodes)

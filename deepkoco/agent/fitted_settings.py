@@ -9,6 +9,7 @@ import numpy as np
 
 from deepkoco.agent.buffer import Episode
 from deepkoco.agent.config import TrainingConfig
+from deepkoco.koopman.exported import Array
 
 CHEAP_STEPS, MARGIN = 0.2, 0.1
 """Rewards are rare where fewer than this share of the steps cost less than the dearest, by this share of the range."""
@@ -68,7 +69,7 @@ def out_of_sight(random: Sequence[Episode], horizon: int) -> bool:
     """Whether hardly any window of the random episodes shows a reward.
 
     Nothing that is planned over such a window can lead to where the task pays. Costs that are rare and high are another
-    matter: most steps then show what is cheap.
+    matter: most steps then show what is cheap. Costs that are not finite are left out.
 
     Args:
         random: Episodes that noise alone has moved.
@@ -76,13 +77,23 @@ def out_of_sight(random: Sequence[Episode], horizon: int) -> bool:
     """
     parts = [episode.costs.double().numpy() for episode in random]
     costs = np.concatenate(parts)
-    if not np.isfinite(costs).all():
+    costs = costs[np.isfinite(costs)]
+    if not costs.size:
         return False
     lowest, usual, highest = np.quantile(costs, [0.0, CHEAP_STEPS, 1.0])
     margin = MARGIN * (highest - lowest)
     if margin <= 0.0 or usual <= highest - margin:
         return False
     long = [part for part in parts if part.size > horizon]
-    windows = [np.lib.stride_tricks.sliding_window_view(part, horizon + 1) for part in long]
-    differ = np.concatenate([np.ptp(part, axis=1) > margin for part in windows] or [np.zeros(0, bool)])
+    differ = np.concatenate([_ranges(part, horizon) > margin for part in long] or [np.zeros(0, bool)])
     return bool(differ.size) and float(differ.mean()) < VISIBLE
+
+
+def _ranges(costs: Array, horizon: int) -> Array:
+    """Range of the finite costs of every window of T + 1 steps; -inf where there is none."""
+    known = np.isfinite(costs)
+    highest, lowest = (
+        np.lib.stride_tricks.sliding_window_view(np.where(known, costs, unknown), horizon + 1)
+        for unknown in (-np.inf, np.inf)
+    )
+    return highest.max(1) - lowest.min(1)

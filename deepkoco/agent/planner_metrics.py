@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from deepkoco.agent.agent import VectorAgent
-from deepkoco.agent.buffer import Episode
 from deepkoco.agent.metrics import Row
+from deepkoco.koopman.exported import Array
 from deepkoco.planning.statistics import PlannerStatistics, planned_and_realised
 
 
-def planner_metrics(agent: VectorAgent | None, episodes: list[Episode], horizon: int) -> tuple[Row, Row]:
+def planner_metrics(
+    agent: VectorAgent | None, costs: Sequence[Array] | None, horizon: int
+) -> tuple[Row, Row]:
     """Summarise the planners.
 
     Args:
         agent: An agent with diagnostics after the episodes; None where there was no evaluation.
-        episodes: One per environment.
+        costs: What the steps of each environment's episode cost (L,), as its model predicts it; None where that is
+            not known.
         horizon: H.
 
     Returns:
@@ -27,11 +32,9 @@ def planner_metrics(agent: VectorAgent | None, episodes: list[Episode], horizon:
     refined = statistics.refined / statistics.plans if statistics.plans else float("nan")
     events = {"planner/microseconds": means.pop("microseconds"), "planner/refined": refined}
     pairs = np.full((2, 0), np.nan)
-    if agent is not None:
-        paired = zip(agent.planned_costs, episodes, strict=True)
-        pairs = np.concatenate(
-            [planned_and_realised(p, e.costs.double().numpy(), horizon) for p, e in paired], axis=1
-        )
+    if agent is not None and costs is not None:
+        paired = zip(agent.planned_costs, costs, strict=True)
+        pairs = np.concatenate([planned_and_realised(p, c, horizon) for p, c in paired], axis=1)
     known = pairs.shape[1] > 0
     spread = known and (pairs.std(1) > 0).all()
     return {

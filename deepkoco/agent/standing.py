@@ -16,12 +16,14 @@ class Standing:
         completed, total: Of what the run does now, such as the updates of its present iteration.
         text: What it does now, a few words.
         row: The row of metrics that was just added; None between two rows.
+        note: What the run has just decided, a sentence; empty for nothing.
     """
 
     completed: int
     total: int
     text: str
     row: Row | None = None
+    note: str = ""
 
 
 Report = Callable[[Standing], None]

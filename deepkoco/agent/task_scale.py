@@ -71,7 +71,8 @@ class TaskScale:
             steps = cls.of(episodes, low, high, action_cost)
             own = [steps._to_come(episode, discount) for episode in episodes]
             # A mean is not below the best step, but the usual step may be far above what a rare one pays.
-            lowest = min(steps.lowest, *(float(episode.costs.min()) for episode in own))
+            means = torch.cat([episode.costs for episode in own])
+            lowest = min([steps.lowest, *means[means.isfinite()].tolist()])
             cost = _unit([_holding(episode, 1) for episode in own], lowest)
             return replace(steps, cost=cost, lowest=lowest, discount=discount, step_cost=steps.cost)
         charged = np.zeros(0) if action_cost is None or not action_cost.any() else action_cost
@@ -119,13 +120,29 @@ class TaskScale:
         own = _holding(self._to_come(episode, self.discount), 1)
         return without_action_cost(own, -self.action_cost)
 
+    def predicted_costs(self, episode: Episode) -> Tensor:
+        """Costs to come as an exported model predicts them.
+
+        Args:
+            episode: As it was recorded; its observations may be empty.
+
+        Returns:
+            Above `lowest`, with the present price of actions (L,); (L + 1,) behind an end that the task made.
+        """
+        return self.with_costs_to_come(episode).costs - self.lowest
+
     def _to_come(self, episode: Episode, discount: float) -> Episode:
         episode = without_action_cost(episode, self.action_cost)
         return replace(episode, costs=costs_to_come(episode.costs, discount, episode.final is not None))
 
     @property
     def of_steps(self) -> TaskScale:
-        """The same units, but for the costs of steps: those of models that know no discount."""
+        """The same units, but for the costs of steps.
+
+        Their R and R~ are those of every EDMDc, of costs of steps and of costs to come alike: the models of a run then
+        plan with the same weights in the task's own units, whatever was learned. With a discount `cost` is that of
+        the network alone.
+        """
         return replace(self, cost=self.step_cost or self.cost, discount=0.0, step_cost=0.0)
 
     def fold(self, model: ExportedModel) -> ExportedModel:

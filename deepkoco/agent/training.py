@@ -156,6 +156,9 @@ class Trainer:
             if not self.progress.collected:
                 self._collect()
                 self._save(started)
+                note = "" if self.progress.iteration else self._experience.decision
+                if report is not None and note:
+                    report(replace(self._standing(self._planned_updates()), note=note))
             planned = self._planned_updates()
             while self.progress.iteration_updates < planned:
                 self._update(planned)
@@ -252,7 +255,8 @@ class Trainer:
             if self.progress.iteration == 0 or self._kept.linear is not None:
                 self._offer_linear()
         kept = self._kept.row if config.keep == "best" else {}
-        planner, clock = planner_metrics(agent, episodes, self._experience.planner.horizon)
+        predicted = self._experience.predicted_costs(episodes, final and self._kept.linear is not None)
+        planner, clock = planner_metrics(agent, predicted, self._experience.planner.horizon)
         self.progress.iteration += 1
         self.progress.collected, self.progress.iteration_updates = False, 0
         self.metrics.add(
@@ -351,6 +355,7 @@ class Trainer:
             "seed": self.seed,
             "episodes": len(self._buffer),
             "updates": self.progress.updates,
+            **self._experience.decided,
             **self._kept.origin,
             **comparison,
             "package": f"deepkoco {__version__}",

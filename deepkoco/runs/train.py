@@ -219,6 +219,8 @@ def _train(config: TrainRunConfig, folder: Path) -> None:
 
         def show(standing: Standing) -> None:
             bar.update(task, total=standing.total, completed=standing.completed, text=standing.text)
+            if standing.note:
+                bar.console.print(f"{folder}: {standing.note}", markup=False, highlight=False, soft_wrap=True)
             # A log file gets a line for every row in the place of the bar.
             if bar.disable and standing.row is not None:
                 done = standing.row

@@ -57,3 +57,18 @@ def test_a_bonus_at_the_end_fades_away_from_it_and_a_task_that_pays_is_worth_les
     alive = costs_to_come(torch.full((20,), -1.0), 0.9, ended=True)
     assert (alive.diff() > 0.0).all()
     assert alive.min() > -1.0
+
+
+@pytest.mark.parametrize("unknown", [float("nan"), float("inf"), -float("inf")])
+def test_a_cost_that_is_not_finite_is_left_out_of_the_means_before_it(unknown):
+    # gamma = 0.5, the middle one of three is unknown. First: (1 + 0.25 * 4) / 1.25 = 1.6; then 4 and 4.
+    costs = torch.tensor([1.0, unknown, 4.0])
+    assert discounted_mean(costs, 0.5).tolist() == pytest.approx([1.6, 4.0, 4.0])
+    # Before an end the same means count for (1 - gamma) times the steps that are left: 0.875, 0.75 and 0.5.
+    assert costs_to_come(costs, 0.5, ended=True).tolist() == pytest.approx([1.4, 3.0, 2.0])
+
+
+@pytest.mark.parametrize("ended", [False, True])
+def test_behind_the_last_finite_cost_there_is_no_mean(ended):
+    means = costs_to_come(torch.tensor([1.0, 1.0, float("inf")]), 0.5, ended)
+    assert means.isfinite().tolist() == [True, True, False]

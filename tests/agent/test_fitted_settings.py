@@ -38,7 +38,7 @@ def test_costs_that_rise_only_now_and_then_are_in_sight():
 
 def test_costs_that_never_differ_or_are_no_numbers_call_for_nothing():
     assert not out_of_sight([with_goal(0)] * 3, CONFIG.horizon)
-    assert not out_of_sight([with_goal(5), with_goal(5, goal=float("nan"))], CONFIG.horizon)
+    assert not out_of_sight([episode([float("nan")] * 200)] * 3, CONFIG.horizon)
     assert not out_of_sight([episode([1.0] * 4 + [0.0])], CONFIG.horizon)  # shorter than a window
 
 
@@ -71,3 +71,13 @@ def test_published_settings_and_a_discount_of_the_user_stay_as_they_are():
     falls = [episode(np.full(5, -1.0), ended=True)] * 3
     for own in (replace(CONFIG, fit_horizon=False), replace(CONFIG, window_stride=16, chunk_length=16)):
         assert fitted(own, falls) == own
+
+
+def test_costs_that_are_not_finite_are_left_out_of_what_is_decided():
+    rare = [with_goal(0)] * 9 + [with_goal(30)]
+    broken = rare[0].costs.clone()
+    broken[::40] = float("nan")
+    broken[1] = float("inf")
+    assert out_of_sight([episode(broken), *rare[1:]], CONFIG.horizon)
+    seen = [with_goal(30)] * 3 + [episode([1.0, float("inf")] * 10)]
+    assert out_of_sight(seen, 40) == out_of_sight(seen[:3], 40)

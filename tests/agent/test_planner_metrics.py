@@ -25,8 +25,8 @@ def evaluate(model, horizon=5):
 
 def test_planned_costs_meet_the_costs_of_the_episodes(model):
     agent, episodes = evaluate(model)
-    row, clock = planner_metrics(agent, episodes, 5)
-    costs = [episode.costs.numpy() for episode in episodes]
+    costs = [episode.costs.double().numpy() for episode in episodes]
+    row, clock = planner_metrics(agent, costs, 5)
     # 20 steps: the plans of steps 0 .. 14 have their 5 predicted steps behind them
     realised = np.mean([c[k + 1 : k + 6].sum() for c in costs for k in range(15)])
     planned = np.mean([costs[:15] for costs in agent.planned_costs])
@@ -42,7 +42,9 @@ def test_planned_costs_meet_the_costs_of_the_episodes(model):
 def test_no_evaluation_gives_the_same_columns(model):
     agent, episodes = evaluate(model)
     row, _ = planner_metrics(None, [], 5)
-    assert list(row) == list(planner_metrics(agent, episodes, 5)[0])
+    assert list(row) == list(
+        planner_metrics(agent, [episode.costs.double().numpy() for episode in episodes], 5)[0]
+    )
     assert np.isnan(list(row.values())).all()
 
 

@@ -133,3 +133,21 @@ def test_linear_models_are_given_the_price_of_actions_with_the_costs_to_come():
     state = dataclasses.replace(recorded, costs=recorded.costs - price)
     expected = discounted_mean(state.costs, 0.9) + price
     torch.testing.assert_close(scale.with_costs_to_come(recorded).costs, expected, rtol=1e-4, atol=1e-4)
+
+
+def test_one_cost_that_is_not_finite_leaves_the_units_of_costs_to_come_and_the_steps_before_it_as_they_are():
+    costs = np.linspace(-1.0, 1.0, 50)
+    broken = costs.copy()
+    broken[20] = np.nan
+    whole, part = (
+        TaskScale.of([episode(-2.0, 10), episode(c)], LOW, HIGH, discount=0.9) for c in (costs, broken)
+    )
+    assert part.lowest == pytest.approx(whole.lowest, rel=0.1)
+    assert part.cost == pytest.approx(whole.cost, rel=0.1)
+    learned = part.apply(episode(broken), 15).costs
+    assert learned.isfinite().all()
+    # The best mean counts as 0, also where it is in an episode with an unknown cost.
+    paid = TaskScale.of(
+        [episode(1.0), episode(np.where(np.isnan(broken), np.nan, -3.0))], LOW, HIGH, discount=0.9
+    )
+    assert paid.lowest == pytest.approx(-3.0)
