@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numba import njit
 
 from deepkoco.fit.data.noise import Noise
+from deepkoco.fit.data.turning_points import write_turning_points
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import System
 
@@ -88,7 +88,7 @@ def ways_before(
             if len(ends):
                 last = np.searchsorted(ends, starts, side="right") - 1
                 since = np.where(last >= 0, np.searchsorted(t, ends[last]), 0)
-            _turning_points(q, at, since, unseen[joint], result[:, joint])
+            write_turning_points(q, at, since, unseen[joint], result[:, joint])
     return result
 
 
@@ -105,7 +105,7 @@ def way_after(way: np.ndarray, unseen: Sequence[float], positions: Mapping[int, 
         if len(since):
             q = np.concatenate([way[joint], _without_glitches(since)])
             begin, end = np.zeros(1, dtype=np.int64), np.array([len(q)])
-            _turning_points(q, end, begin, unseen[joint], result[joint][None])
+            write_turning_points(q, end, begin, unseen[joint], result[joint][None])
     return result
 
 
@@ -113,42 +113,3 @@ def _without_glitches(q: np.ndarray) -> np.ndarray:
     """Positions in which no single sample stands out: a median of three. A wrong reading is no way there and back."""
     inner = np.median(np.stack([q[:-2], q[1:-1], q[2:]]), axis=0) if len(q) > 2 else q[1:-1]
     return np.concatenate([q[:1], inner, q[-1:]]) if len(q) > 1 else q
-
-
-@njit(cache=True)
-def _turning_points(q, at, since, least, result):
-    """Write the last turning points before sample ``at[w]``, and the position there, into ``result[w]``."""
-    windows, size = result.shape
-    points = np.zeros(size)
-    begun, count, farthest, way = -1, 0, 0.0, 0
-    k = 0
-    for w in range(windows):
-        if since[w] != begun:  # a new stretch
-            begun = since[w]
-            k, count, way = begun, 0, 0
-        while k < at[w]:
-            x = q[k]
-            if count == 0:
-                points[0], count, farthest, way = x, 1, x, 0
-            elif way == 0:
-                if abs(x - points[count - 1]) > least:
-                    way = 1 if x > points[count - 1] else -1
-                    farthest = x
-            elif (x - farthest) * way >= 0.0:
-                farthest = x
-            elif abs(x - farthest) > least:
-                if count == size:
-                    points[:-1] = points[1:]
-                    count -= 1
-                points[count] = farthest
-                count += 1
-                farthest, way = x, -way
-            k += 1
-        if count == 0:
-            continue
-        kept = min(count, size - 1)
-        result[w, size - 1] = farthest if way != 0 else points[count - 1]
-        for i in range(kept):
-            result[w, size - 2 - i] = points[count - 1 - i]
-        for i in range(size - 1 - kept):
-            result[w, i] = points[count - kept]
