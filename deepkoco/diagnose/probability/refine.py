@@ -105,6 +105,20 @@ def started(fixed: Fixed, explanation: Explanation, mode: np.ndarray, amplitude:
     return Refit(explanation, amplitude, names, value, weights, fixed.origin.state.clone())
 
 
+def widened(fixed: Fixed, plain: Refit, explanation: Explanation) -> Refit:
+    """Return a refit of an explanation that starts at the optimum of "nothing", with its changes at null.
+
+    Args:
+        fixed: What all refits share.
+        plain: The refit of "nothing".
+        explanation: The explanation.
+    """
+    own = len(fixed.catalogue.base)
+    wider = started(fixed, explanation, np.zeros(len(explanation.columns)), plain.amplitude)
+    wider.value[:own] = plain.value[:own]
+    return replace(wider, weights=plain.weights.copy(), state=plain.state.clone())
+
+
 def shapes_of(explanation: Explanation) -> dict[str, float]:
     """Return the shapes that a fit frees, with their values at the starts."""
     return {

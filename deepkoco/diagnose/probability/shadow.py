@@ -27,7 +27,7 @@ from deepkoco.diagnose.probability.healthy_unit import HealthyUnit, learned_unit
 from deepkoco.diagnose.probability.linear import Linearisation
 from deepkoco.diagnose.probability.model_error import in_time, of_motion, ranges_of, slot_responses
 from deepkoco.diagnose.probability.posterior import weighed
-from deepkoco.diagnose.probability.refine import Fixed, refined, started
+from deepkoco.diagnose.probability.refine import Fixed, Refit, refined, started, widened
 from deepkoco.diagnose.probability.search import Scored, search
 from deepkoco.diagnose.probability.unit import DeclaredUnit, UnitPrior, WithZeros, declared_of
 from deepkoco.diagnose.refitted import Refitted
@@ -40,6 +40,7 @@ from deepkoco.fit.solve.scaled_inverse import DivergedError
 REFITTED = 20  # explanations that are refitted at each point of linearisation
 BEHIND = 12.0  # nats behind the best from which an explanation is not refitted
 RIVALS = 8  # single causes that are refitted beside those
+PRICE = 20.0  # nats that a wider explanation may lose to the choice among causes and to its parameters
 
 
 @dataclass(frozen=True)
@@ -151,9 +152,9 @@ def probabilities(
     found: list[Weighed] = []
     for point in points:
         promising = _promising(point.scored)
-        refits = _refitted(problem, point, promising)
+        refits, plain = _refitted(problem, point, promising)
         more = _as_promising(point.scored, promising, refits)
-        found += [*refits, *(_refitted(problem, point, more) if more else [])]
+        found += [*refits, *(_refitted(problem, point, more, plain)[0] if more else [])]
     tried = sum(len(p.scored) for p in points)
     if not found:
         raise DivergedError("no explanation has a simulation that stays finite")
@@ -257,11 +258,38 @@ def _without_doubles(problem: FitProblem, listed: Catalogue, changes: np.ndarray
     return replace(listed, items=tuple(kept))
 
 
-def _refitted(problem: FitProblem, point: Point, scored: Sequence[Scored]) -> list[Weighed]:
-    """Refit explanations from a point of linearisation; return those whose simulations stay finite."""
-    starts = [started(point.fixed, s.explanation, s.mode, s.amplitude) for s in scored]
-    refits = refined(problem, point.fixed, starts)
-    return [weighed(problem, point.fixed, r, point.causes) for r in refits if r.sums is not None]
+def _refitted(
+    problem: FitProblem, point: Point, scored: Sequence[Scored], plain: Refit | None = None
+) -> tuple[list[Weighed], Refit | None]:
+    """Refit explanations from a point of linearisation.
+
+    A wider explanation contains "nothing", so it weighs less by its price at most. One that weighs far less ended in
+    another minimum, and is refitted from the optimum of "nothing", too.
+
+    Args:
+        problem: The windows.
+        point: The point.
+        scored: The explanations.
+        plain: Refit of "nothing"; None where it is among the explanations.
+
+    Returns:
+        Those whose simulations stay finite, and the refit of "nothing".
+    """
+    fixed = point.fixed
+    refits = refined(problem, fixed, [started(fixed, s.explanation, s.mode, s.amplitude) for s in scored])
+    refits = [r for r in refits if r.sums is not None]
+    plain = next((r for r in refits if not r.explanation.causes), plain)
+    found = [weighed(problem, fixed, r, point.causes) for r in refits]
+    if plain is None:
+        return found, None
+    least = weighed(problem, fixed, plain, point.causes).log_weight - PRICE
+    low = [k for k, e in enumerate(found) if e.log_weight < least and not refits[k].explanation.unknown]
+    again = refined(problem, fixed, [widened(fixed, plain, refits[k].explanation) for k in low])
+    for k, refit in zip(low, again, strict=True):
+        if refit.sums is not None:
+            other = weighed(problem, fixed, refit, point.causes)
+            found[k] = max(found[k], other, key=lambda e: e.log_weight)
+    return found, plain
 
 
 def _as_promising(

@@ -1,6 +1,7 @@
 """Probabilities for logs of units with and without a hidden effect."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,12 +9,15 @@ import pytest
 from deepkoco.diagnose import diagnose
 from deepkoco.diagnose.baseline import Healthy, baseline_from, refit_sharply
 from deepkoco.diagnose.causes import catalogue
+from deepkoco.diagnose.probability import shadow
 from deepkoco.diagnose.probability.columns import columns_at
 from deepkoco.diagnose.probability.healthy_unit import learned_unit
+from deepkoco.diagnose.probability.posterior import weighed
 from deepkoco.diagnose.probability.refine import refined, started
 from deepkoco.diagnose.probability.shadow import linearised, probabilities
 from deepkoco.fit import FitProblem, cut_windows, moving
 from deepkoco.systems import make_system
+from experiments.studies.diagnosis.hidden_cause.cases import draw_case
 from tests.oracle.unit import hidden_log
 
 SYSTEM = "rod_pendulum"
@@ -87,6 +91,40 @@ def test_refits_from_two_starts_end_at_one_stationary_point(with_friction):
     assert all(e.stationary for e in ends)
     assert ends[0].cost == pytest.approx(ends[1].cost, abs=0.2)
     assert ends[0].value[-1] == pytest.approx(ends[1].value[-1], rel=0.02)
+
+
+def test_an_explanation_that_ends_in_another_minimum_is_refitted_from_nothing(with_friction, monkeypatch):
+    problem, reference, start = with_friction
+    point = linearised(problem, reference, start, CAUSES, None)
+    chosen = [
+        next(s for s in point.scored if s.explanation.causes == causes) for causes in ((), ("payload",))
+    ]
+    wanted, _ = shadow._refitted(problem, point, chosen)
+
+    def stuck(problem, fixed, refits):
+        # A simulation that is far from the log, taken for stationary.
+        ends = refined(problem, fixed, refits)
+        away = [replace(r, weights=r.weights + 1.0) if r.explanation.causes else r for r in ends]
+        return away if refits[0].explanation == chosen[0].explanation else ends
+
+    def weighed_with_weights(problem, fixed, refit, causes):
+        found = weighed(problem, fixed, refit, causes)
+        return replace(found, log_weight=found.log_weight - 100.0 * bool((refit.weights > 0.5).any()))
+
+    monkeypatch.setattr(shadow, "refined", stuck)
+    monkeypatch.setattr(shadow, "weighed", weighed_with_weights)
+    found, plain = shadow._refitted(problem, point, chosen)
+    assert plain is not None
+    assert [f.causes for f in found] == [(), ("payload",)]
+    assert found[1].log_weight == pytest.approx(wanted[1].log_weight, abs=0.2)
+
+
+@pytest.mark.study
+def test_a_gain_beside_one_healthy_log_is_no_other_machine(tmp_path):
+    # The first refit with a gain ended 64 nats below the machine without it, which it contains.
+    handed = draw_case(38000, 8, 16.0).question(tmp_path).handed
+    result = diagnose(list(handed.log), handed.system, healthy=list(handed.healthy))
+    assert {"gain", "changed(gain(motor))"} & set(result.causes[0].members)
 
 
 @pytest.mark.study

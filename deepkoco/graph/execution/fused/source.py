@@ -196,7 +196,7 @@ class Bodies:
         self.prologues: list[str] = []
         self.pool, self.hoisted, self.deepest = Pool(), Hoisted(), 0
         self.defines: dict[str, int] = {}
-        self.buffers = dict.fromkeys(("STAGE", "STATE", "OUTPUT", "ACTION", "HOISTED"), 1)
+        self.buffers: dict[str, int] = {n: 1 for n in ("STAGE", "STATE", "OUTPUT", "ACTION", "HOISTED")}
 
     def add(self, head: str, body: Body) -> None:
         """Append a finished body as a function with this name and these arguments."""
