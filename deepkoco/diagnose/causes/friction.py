@@ -98,11 +98,11 @@ def _lugre_starts(hint: Hint) -> list[dict[str, float]]:
 LUGRE = Cause(
     "lugre",
     "friction",
-    ("level", "distance", "ratio", "speed", "relaxation"),
+    ("level", "distance", "ratio", "speed"),
     "Dry friction acts on the joint and is larger near standstill, and the joint springs back before it slips.",
     "Push the joint lightly to and fro at rest, then move it at several constant speeds, slow ones among them.",
     "omega",
     lambda motion: -np.sign(motion.omega),
     _lugre_starts,
-    shape=("distance", "ratio", "speed", "relaxation"),
+    shape=("distance", "ratio", "speed"),
 )

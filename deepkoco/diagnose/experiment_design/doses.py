@@ -16,7 +16,7 @@ SHAPES = {
     "periodic": ("frequency", "cosine"),
     "spring": ("centre",),
     "bristle": ("distance",),
-    "lugre": ("distance", "ratio", "speed", "relaxation"),
+    "lugre": ("distance", "ratio", "speed"),
 }
 
 
