@@ -1,7 +1,7 @@
 """The family of a cause that is not in the catalogue: friction of another shape, a drive that lags in another way.
 
-Where nothing explains enough to be named, the catalogue may still show where to look. A LuGre friction is no Coulomb
-friction and no bristle, but both explain most of what it does, and no delay and no load come near.
+Where nothing explains enough to be named, the catalogue may still show where to look. Friction that
+creeps and ages is no Coulomb friction and no bristle, but both explain most of what it does, and no delay comes near.
 """
 
 from __future__ import annotations

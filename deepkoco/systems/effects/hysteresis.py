@@ -1,13 +1,14 @@
 """Effects that remember the way of a joint: bristles that bend before they slip, and play behind the gear.
 
-Both are independent of the rate: what they remember follows from the way alone, in closed form while a joint moves in
-one direction. The play is that of a gear whose output is light or rubs: it stays where it is until the gear has
-crossed the play, and its load on the motor's side is that of a stiff gear.
+What they remember follows from the way, in closed form while a joint moves in one direction. How far the bristles of
+LuGre bend depends on the speed, too; all else is independent of the rate. The play is that of a gear whose output is
+light or rubs: it stays where it is until the gear has crossed the play, and its load on the motor's side is that of a
+stiff gear.
 
 Source: Dahl, A solid friction model (1968); Canudas de Wit, Olsson, Astrom, Lischinsky, A new model for control of
     systems with friction, IEEE Transactions on Automatic Control 40(3), 1995, for the damping of the bristles and for
-    friction that is larger near standstill; Tao and
-    Kokotovic, Adaptive Control of Systems with Actuator and Sensor Nonlinearities (1996), for the play.
+    friction that is larger near standstill; Tao and Kokotovic, Adaptive Control of Systems with Actuator and Sensor
+    Nonlinearities (1996), for the play.
 """
 
 from __future__ import annotations
