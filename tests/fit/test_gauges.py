@@ -177,3 +177,17 @@ def test_every_gauge_gets_a_measurement_although_some_parameters_hardly_take_par
     found = Fit("all", tuple(values), values, shown, shown, none, none, 0.0, 0.0, none, shown)
     gauges = scale_gauges(found, declared)
     assert len({g.measure for g in gauges}) == len(gauges) == 3
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_parameter_that_hardly_shows_hides_no_gauge(seed):
+    # In relative changes, 1e6 of the weak one cancel 1 of the strong one; first and second show as their sum alone.
+    rng = np.random.default_rng(seed)
+    slopes = rng.normal(size=(5, 2)) @ np.array([[1.0, 1e-6, 0.0, 0.0], [0.3, 3e-7, 1.0, 1.0]])
+    shown = 1e8 * slopes.T @ slopes
+    names = ("strong", "weak", "first", "second")
+    declared = [Parameter(n, 1.0, "kg", 0.0, 10.0, 0.3, "") for n in names]
+    none = torch.zeros(0)
+    found = Fit("all", names, dict.fromkeys(names, 1.0), shown, shown, none, none, 0.0, 0.0, none, shown)
+    (gauge,) = (g for g in scale_gauges(found, declared) if "weak" not in g.exponents)
+    assert gauge.exponents == pytest.approx({"first": 1.0, "second": -1.0}, rel=1e-6)

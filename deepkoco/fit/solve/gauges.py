@@ -119,7 +119,7 @@ def scale_gauges(fit: Fit, declared: Sequence[Parameter]) -> tuple[Gauge, ...]:
     null = ways[:, weight < CANCELS] / root[:, None]
     if null.shape[1] == 0:
         return ()
-    null /= np.abs(null).max(0)
+    null = _separated(null)
     # The change of a parameter that the data determine by itself is rounding.
     null[np.abs(null) < 1e-4] = 0.0
     fixed = _reliable(null, np.array([known[n].prior_sd / fit.values[n] for n in names]))
@@ -135,6 +135,25 @@ def scale_gauges(fit: Fit, declared: Sequence[Parameter]) -> tuple[Gauge, ...]:
             how = MEASURED.get(easiest.unit, "measure it by itself")
             result.append(Gauge(names[i], exponents, easiest.name, how))
     return tuple(result)
+
+
+def _separated(null: np.ndarray) -> np.ndarray:
+    """Return another basis (n, K) of the same ways, each with a largest change of 1 that no other way has.
+
+    A parameter that the data hardly show can dominate every way, and what else these contain would seem to be rounding.
+    """
+    ways, pivots = null.copy(), []
+    for k in range(ways.shape[1]):
+        ways[:, k:] /= np.maximum(np.abs(ways[:, k:]).max(0), np.finfo(float).tiny)
+        left = np.abs(ways[:, k:])
+        left[pivots] = 0.0
+        i, j = np.unravel_index(left.argmax(), left.shape)
+        ways[:, [k, k + j]] = ways[:, [k + j, k]]
+        ways[:, k] /= ways[i, k]
+        others = [c for c in range(ways.shape[1]) if c != k]
+        ways[:, others] -= np.outer(ways[:, k], ways[i, others])
+        pivots.append(int(i))
+    return ways / np.abs(ways).max(0)
 
 
 def _reliable(null: np.ndarray, sd: np.ndarray) -> list[int]:
