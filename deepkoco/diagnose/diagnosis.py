@@ -227,6 +227,7 @@ class Diagnosis:
             () if self.verdict == "unknown" else self.names,
             self.verdict == "unknown" and learned,
             self.gain is not None and self.gain.as_given,
+            (self.unexplained.get("changed_midway") or {}).get("until_s"),
         )
 
     def save(self, folder: str | Path) -> Path:

@@ -211,19 +211,30 @@ def _judged(system: ExtendedSystem, residual: np.ndarray, valid: np.ndarray) -> 
     return (residual[:, chosen] ** 2 * valid[:, chosen]).sum((1, 2))
 
 
-def note_on_gain(named: Sequence[str], learned: bool, as_given: bool = False) -> str:
+def note_on_gain(
+    named: Sequence[str], learned: bool, as_given: bool = False, changed_s: float | None = None
+) -> str:
     """Return on which windows the gain is measured, and which decisions also used them.
 
     Args:
         named: Names of the causes in the extended simulation.
         learned: Whether the extended simulation has a learned load instead.
         as_given: Whether the extended simulation keeps every parameter as given.
+        changed_s: Time from which the unit is another one [s], if it changed in the middle of its log.
     """
     note = "No fit uses these windows."
+    refit = "The refit is"
+    if changed_s is not None:
+        note += f" Windows of this log are of the unit from {changed_s:.4g} s on."
+        refit = "The refits of the whole log and of this part are"
     if as_given:
         return (
-            f"{note} The refit is worse on them than the simulation as given (or as learned from healthy logs), so "
+            f"{note} {refit} worse on them than the simulation as given (or as learned from healthy logs), so "
             "model.yaml keeps the parameters as given."
+        )
+    if changed_s is not None:
+        return (
+            f"{note} model.yaml has the parameters that this part shows, as those of the unit as it is now."
         )
     if any(name.startswith("lost_commands") for name in named):
         note += " The lost commands in them are not known, so all sent commands act in the simulation."

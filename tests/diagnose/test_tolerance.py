@@ -18,7 +18,7 @@ from deepkoco.diagnose.evidence.refine_ranking import classed
 from deepkoco.diagnose.residuals.residuals import SLOTS, Dispersion, white_limit
 from deepkoco.diagnose.verdict.minor_causes import minor_causes
 from deepkoco.fit import FitProblem, cut_windows
-from deepkoco.systems import make_system
+from deepkoco.systems import ExtendedSystem, make_system
 from tests.oracle.unit import hidden_log
 
 BASE = make_system("rod_pendulum")
@@ -79,6 +79,30 @@ def test_tolerances_are_those_of_a_healthy_machine(stage):
         for d in (1.0, 0.1)
     )
     assert (long, short) == pytest.approx((LOAD_SHARE * LOAD, 10.0 * LOAD_SHARE * LOAD))
+
+
+@pytest.mark.parametrize(
+    ("share", "tolerated_then"),
+    [(1.0, True), (0.5, True), (0.0, True), (-0.5, False), (1.5, False)],
+    ids=["as learned", "half", "none", "reversed", "more"],
+)
+def test_less_of_an_effect_than_the_healthy_logs_show_is_no_fault(stage, share, tolerated_then):
+    # Healthy logs showed a drift of 0.3 % a second, as an imitation of something else perhaps.
+    problem, start, fitted = stage
+    name, drift = "gain_drift.rate", 3e-3
+    system = ExtendedSystem(start.system.base, tuple(e.name for e in start.system.effects), {name: drift})
+    learned = replace(start, system=system, values={**start.values, name: drift})
+    fit = fitted({name: share * drift}, 1e-5)
+    found = tolerated(FitProblem(system, problem.windows), learned, KNOWN["gain_drift"], fit, 1.0)
+    assert found == tolerated_then
+
+
+def test_an_effect_a_little_beyond_null_by_chance_is_no_fault(stage):
+    problem, start, fitted = stage
+    learned = replace(start, values={**start.values, "gain_drift.rate": 3e-3})
+    fit = fitted({"gain_drift.rate": -2.8e-5}, 1.3e-5)
+    assert tolerated(problem, learned, KNOWN["gain_drift"], fit, 1.0)
+    assert not tolerated(problem, start, KNOWN["gain_drift"], fit, 1.0)
 
 
 def test_cause_without_a_size_is_never_tolerated(stage):

@@ -37,8 +37,10 @@ class Minor(NamedTuple):
 def tolerated(problem: FitProblem, start: Baseline, cause: Cause, fit: Fit, deflation: float) -> bool:
     """Return whether a log shows no more of a cause than any healthy machine has.
 
-    The 95 % interval of every size of the cause must lie within its tolerance about the baseline's value. A cause
-    without such a parameter is never tolerated.
+    The 95 % interval of every size of the cause must lie within its tolerance about the baseline's value. Less of an
+    effect than the healthy logs show is no fault either: what a simulation learned from them may only imitate a model
+    error of their motions. The interval must then not lie beyond null by more than the tolerance. A cause without such
+    a parameter is never tolerated.
 
     Args:
         problem: The windows.
@@ -52,12 +54,16 @@ def tolerated(problem: FitProblem, start: Baseline, cause: Cause, fit: Fit, defl
     loads = start.system.load_scales
     load = max(loads) if cause.joint is None else loads[cause.joint]
     period = sample_period(problem.windows)
+    nulls = {n: v for n, v in zip(problem.names, problem.null_values(), strict=False) if not np.isnan(v)}
     for parameter in declared(problem, cause.sizes):
         i = fit.free.index(parameter.name)
         reach = 1.96 * float(np.sqrt(max(fit.covariance[i, i], 0.0) * deflation))
-        away = abs(fit.values[parameter.name] - start.values[parameter.name])
+        value, learned = fit.values[parameter.name], start.values[parameter.name]
+        away = abs(value - learned) + reach
+        if (span := nulls.get(parameter.name, learned) - learned) * (value - learned) > 0.0:
+            away = min(away, abs(value - learned) - reach - abs(span))
         most = cause.tolerance(Healthy(parameter, load, period, dict(fit.values)))
-        if not away + reach <= (most if is_changed(cause) else start.roughness * most):
+        if not away <= (most if is_changed(cause) else start.roughness * most):
             return False
     return True
 

@@ -43,6 +43,8 @@ def headline(diagnosis: Diagnosis) -> str:
     differs = "no cause of the catalogue explains the difference"
     if (family := diagnosis.unexplained.get("family")) is not None:
         differs = f"most likely by {family['text']}"
+    if (midway := diagnosis.unexplained.get("changed_midway")) is not None:
+        differs = f"{midway['text']}: one set of parameters does not explain both parts"
     if diagnosis.left_out:
         differs = "the time did not suffice to say by what"
     return {

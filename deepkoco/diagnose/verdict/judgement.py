@@ -35,6 +35,7 @@ from deepkoco.diagnose.residuals.residuals import (
     missing_torque,
 )
 from deepkoco.diagnose.verdict.findings import evidence_for, finding, motion_of, over_classes
+from deepkoco.diagnose.verdict.midway import EXPLAINED, ChangedMidway, changed_midway, gain_of_later_part
 from deepkoco.diagnose.verdict.noise_causes import scatter_findings
 from deepkoco.diagnose.verdict.same_as import evidence_of_priors, same_parameter
 from deepkoco.diagnose.verdict.under_colour import fit_under_colour, over_colour
@@ -65,6 +66,7 @@ class Judgement:
         doubts: Reasons for naming no cause, one sentence each.
         unfitted: What could not be fitted, in words.
         coloured: Fit of the named causes under errors that are correlated in time; None where none is needed.
+        midway: A change of the unit in the middle of the log, with the verdict "unknown"; None where none is seen.
     """
 
     verdict: Verdict
@@ -79,6 +81,7 @@ class Judgement:
     doubts: tuple[str, ...]
     unfitted: tuple[str, ...]
     coloured: Fit | None = None
+    midway: ChangedMidway | None = None
 
     @property
     def load(self) -> ResidualModel | None:
@@ -116,14 +119,27 @@ def judge(request: DiagnosisRequest, explanation: Explanation) -> Judgement:
     withdrawn = verdict == "nothing" and (bool(found.accepted) or found.lost is not None)
     if withdrawn:
         doubts, scattered = (), scatter(reference)
-    learned = None
+    learned, midway = None, None
+    more = (
+        verdict in ("cause", "ambiguous")
+        and final.chi2 > base.start.most_noise(base.train) * base.train.samples
+    )
+    if (verdict == "unknown" or more) and request.limit.allows("a change in the middle of the log"):
+        request.progress("a change in the middle of the log")
+        midway = changed_midway(base.start, base.train, base.held if base.data.own else None)
+        if midway is not None and more:
+            # Causes that last are no explanation where two units without them are a far better one.
+            worse = final.chi2 > EXPLAINED * midway.left * base.train.samples
+            verdict, midway = ("unknown", midway) if worse else (verdict, None)
     rival = verdict in ("cause", "ambiguous") and rivalled(
         found, base.start, base.train, white, explanation.weighed
     )
     least = -FURTHER if only_flexible(found) else FURTHER
     if rival and found.lost is None:
         rival = load_may_win(base.start, found.acting, final, found.accepted, missing, least)
-    if base.start.tempering > 1.0 and verdict == "unknown":
+    if midway is not None:
+        rival = False  # two units in one log are no load of one unit
+    elif base.start.tempering > 1.0 and verdict == "unknown":
         unfitted = (*unfitted, TOO_SLOW)
     elif (verdict == "unknown" or rival) and request.limit.allows("a learned load"):
         request.progress("a learned load")
@@ -169,6 +185,7 @@ def judge(request: DiagnosisRequest, explanation: Explanation) -> Judgement:
         doubts,
         unfitted,
         coloured,
+        midway,
     )
     return _with_final_gain(judgement, without, found.accepted, seed)
 
@@ -234,7 +251,9 @@ def _with_final_gain(judgement: Judgement, base: Refitted, accepted: Sequence[Ca
     gain, unfitted = judgement.gain, judgement.unfitted
     if judgement.load is not None:
         gain = judgement.load.gain
-    if gain is None:
+    if judgement.midway is not None:
+        gain = gain_of_later_part(base, judgement.midway, seed)
+    elif gain is None:
         gain = gain_on_held_out(base, judgement.final, accepted, seed)
         unfitted = _with_gain(unfitted, base, gain)
     if judgement.load is None and judgement.final is base.reference and gain is not None:

@@ -32,7 +32,6 @@ from deepkoco.diagnose.verdict.family import family_of
 from deepkoco.diagnose.verdict.findings import estimates, finding, localise, over_classes
 from deepkoco.diagnose.verdict.healthy_range import range_advice
 from deepkoco.diagnose.verdict.judgement import Judgement
-from deepkoco.diagnose.verdict.midway import changed_midway
 from deepkoco.diagnose.verdict.minor_causes import minor_causes
 from deepkoco.diagnose.verdict.moved import moved_parameters
 from deepkoco.diagnose.verdict.open_scales import scale_variance
@@ -172,10 +171,12 @@ def _unexplained(request: DiagnosisRequest, explanation: Explanation, judgement:
     refitted = final is base.reference
     remaining = judgement.missing if refitted else missing_torque(explanation.found.acting, final)
     learned = judgement.learned
-    family = family_of(explanation) if judgement.verdict == "unknown" else None
+    midway = judgement.midway
+    family = family_of(explanation) if judgement.verdict == "unknown" and midway is None else None
     return {
         **describe(remaining, left),
         **({} if family is None else {"family": family.to_json()}),
+        **({} if midway is None else {"changed_midway": midway.to_json()}),
         "not_identified": [vars(d) for d in _unidentified(base)],
         "scale_gauges": [g.to_json() for g in base.start.gauges],
         "limits": {"chi2_per_sample": limit, "lag_one": alike},
@@ -194,14 +195,9 @@ def _unexplained(request: DiagnosisRequest, explanation: Explanation, judgement:
 def _signatures(
     request: DiagnosisRequest, explanation: Explanation, judgement: Judgement
 ) -> tuple[Evidence, ...]:
-    """Return properties of the residuals, and whether the unit changed in the middle of a log that nothing explains."""
-    base = explanation.base
-    found = signatures(request.system, base.train, judgement.final)
-    if judgement.verdict != "unknown" or not request.limit.allows("a change in the middle of the log"):
-        return found
-    request.progress("a change in the middle of the log")
-    changed = changed_midway(base.start, base.train)
-    return found if changed is None else (changed, *found)
+    """Return properties of the residuals, a change of the unit in the middle of the log before all others."""
+    found = signatures(request.system, explanation.base.train, judgement.final)
+    return found if judgement.midway is None else (judgement.midway.evidence, *found)
 
 
 def _moved(explanation: Explanation, judgement: Judgement) -> tuple[Moved, ...]:
@@ -291,6 +287,8 @@ def _model(request: DiagnosisRequest, explanation: Explanation, judgement: Judge
         final, found = base.problem.recentred(load.fit), (*found, *load.effects)
     effects = tuple(dict.fromkeys((*had, *start.effects, *found)))
     values = start.values if _kept_as_given(judgement) else final.values
+    if judgement.midway is not None and not _kept_as_given(judgement):
+        values = judgement.midway.later.values  # of the unit as it is now
     kept = {
         p.name: values[p.name]
         for p in start.system.parameters
@@ -309,9 +307,10 @@ def _written(explanation: Explanation, judgement: Judgement) -> dict[str, Estima
     """Return the system's own parameters as `_model` writes them; parameters kept as given have no interval."""
     base, found, load = explanation.base, explanation.found, judgement.load
     fit = judgement.final if load is None else base.problem.recentred(load.fit)
-    own = estimates(
-        base.problem, fit, base.reference.free, judgement.left.deflation, scale_variance(base.start, fit)
-    )
+    problem, deflation = base.problem, judgement.left.deflation
+    if (midway := judgement.midway) is not None:
+        problem, fit, deflation = midway.problem, midway.later, midway.deflation
+    own = estimates(problem, fit, base.reference.free, deflation, scale_variance(base.start, fit))
     if judgement.final is not base.reference:
         wide = over_classes(own, found.acting, found.accepted, found.steps)
         own = over_colour(wide, own, found.acting, judgement.coloured)

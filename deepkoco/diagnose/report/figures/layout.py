@@ -48,8 +48,13 @@ def shown_models(diagnosis: Diagnosis) -> dict[str, str]:
 
 
 def held_out_models(diagnosis: Diagnosis) -> dict[str, str]:
-    """Return the simulations compared on held-out windows -> label; a learned load can take the place of a cause."""
+    """Return the simulations compared on held-out windows -> label.
+
+    A learned load can take the place of a cause, and so can the unit as it is after a change in the middle of its log.
+    """
     models = shown_models(diagnosis)
+    if "changed_midway" in diagnosis.unexplained:
+        models["extended"] = "simulation of the unit after its change"
     if learned_load(diagnosis):
         models["extended"] = "simulation with a learned load"
     return models
