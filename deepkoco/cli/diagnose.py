@@ -35,7 +35,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         nargs="+",
         metavar="LOG",
-        help="log to explain, or a folder of logs (CSV, Parquet, MCAP, ROS bags, LeRobot datasets, ...)",
+        help="log to explain, or a folder of logs (CSV, Parquet, MCAP, ROS bags, LeRobot datasets, ...); "
+        "LOG#t=2,7.5 is a part of it [s]",
     )
     parser.add_argument(
         "--system",

@@ -31,7 +31,11 @@ example:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `deepkoco identify`."""
     parser.add_argument(
-        "recording", type=Path, nargs="+", metavar="LOG", help="log of the unit, or a folder of logs"
+        "recording",
+        type=Path,
+        nargs="+",
+        metavar="LOG",
+        help="log of the unit, or a folder of logs; LOG#t=2,7.5 is a part of it [s]",
     )
     parser.add_argument(
         "--system",

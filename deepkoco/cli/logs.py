@@ -80,13 +80,21 @@ def result_folder(out: Path | None, first: Path, suffix: str) -> Path:
     """Return the new folder of a result; without ``out``, beside the first log and named after it.
 
     Raises:
+        LogError: The part of the first log is no range of times.
         FolderExistsError: It exists, or a file on its path keeps it from being made.
         WriteError: The disk is full, or the place cannot be written.
     """
+    from deepkoco.logs.part import split_part
     from deepkoco.output.new_folder import check_new
 
-    place = first if first.stem else first.resolve()
-    folder = place.with_name(f"{place.stem}{suffix}") if out is None else out
+    whole, part = split_part(first)
+    place = whole if whole.stem else whole.resolve()
+    cut = (
+        ""
+        if part is None
+        else "_from_{:g}_to_{:g}_s".format(*part).replace("_from_-inf", "").replace("_to_inf", "")
+    )
+    folder = place.with_name(f"{place.stem}{cut}{suffix}") if out is None else out
     check_new(folder)
     return folder
 

@@ -22,6 +22,7 @@ from deepkoco.logs.checks.frozen import check_share, frozen_stretches, summarise
 from deepkoco.logs.formats import LogFile, open_log
 from deepkoco.logs.formats.log_file import HEADER, LogError
 from deepkoco.logs.formats.recordings import is_recording, one_recording
+from deepkoco.logs.part import named_part, split_part
 from deepkoco.logs.series import ChannelReader, Series
 from deepkoco.logs.sidecar import (
     KINDS,
@@ -111,7 +112,8 @@ def read_log(
     stamps that are dates count from the first whole second, which a warning names.
 
     Args:
-        path: the log, in a format that `open_log` reads; a folder that contains one recording stands for it.
+        path: the log, in a format that `open_log` reads; a folder that contains one recording stands for it. A part
+            of it is `log.csv#t=2,7.5` (:func:`.split_part`), in seconds of the log as it is read.
         mapping: content or path of the sidecar; None takes `path` with the suffix `.yaml`, else the sidecar of its
             folder. Without any, columns that have the names of `channels` are taken in SI units.
         system: name of the system of the log; None takes the name in the sidecar.
@@ -127,7 +129,8 @@ def read_log(
     Raises:
         LogError: the log cannot be used; the message names file, column and what to do.
     """
-    path = one_recording(Path(path))
+    whole, part = split_part(path)
+    path = one_recording(whole)
     if fill is not None and fill not in FILLS:
         raise LogError(f'fill "{fill}" is none of {", ".join(FILLS)}')
     if not path.exists() and not is_recording(path):
@@ -171,7 +174,26 @@ def read_log(
             f"a command or a measurement is unknown in {len(unknown)} stretches ({seconds:.3g} s); "
             "fits leave out the windows there"
         )
-    return Recording(series, path, name, sidecar.meta, unknown, (*notes, *doubts))
+    recording = Recording(series, path, name, sidecar.meta, unknown, (*notes, *doubts))
+    return recording if part is None else _part(recording, part, min_samples, min_seconds)
+
+
+def _part(recording: Recording, part: tuple[float, float], min_samples: int, min_seconds: float) -> Recording:
+    """Return a part of a log, which is named as its path.
+
+    Raises:
+        LogError: The part has too few samples.
+    """
+    start, stop = max(part[0], recording.start), min(part[1], recording.stop)
+    path = Path(named_part(recording.path or "log", *(t if np.isfinite(t) else None for t in part)))
+    if stop - start < min_seconds:
+        raise LogError(
+            f"{path}: this part has {max(stop - start, 0.0):.3g} s and needs {min_seconds:g} s; the log lasts from "
+            f"{recording.start:.6g} to {recording.stop:.6g} s"
+        )
+    cut = replace(recording.between(start, stop), path=path)
+    check_content(path, cut.channels, min_samples, min_seconds, True)
+    return cut
 
 
 def _from_zero(series: dict[str, Series]) -> tuple[dict[str, Series], str | None]:

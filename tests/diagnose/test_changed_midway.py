@@ -54,11 +54,19 @@ def asked(recording):
 def test_a_weight_that_changes_in_the_middle_is_seen_with_its_time_and_its_values():
     found = asked(joined(log(1), log(2, gravity_torque=0.7 * WEIGHT)))
     assert found is not None
-    assert found.evidence.statistic == found.fall > 10.0
+    assert found.evidence(None).statistic == found.fall > 10.0
     assert found.after_s < 10.0 < found.until_s < found.after_s + 3.0
-    assert found.evidence.text.startswith("The unit changed in the middle")
-    assert f"gravity_torque from {WEIGHT:.2g} to 2.1" in found.evidence.text
+    assert found.evidence(None).text.startswith("The unit changed in the middle")
+    assert f"gravity_torque from {WEIGHT:.2g} to 2.1" in found.evidence(None).text
     assert found.later.values["gravity_torque"] == pytest.approx(0.7 * WEIGHT, rel=0.01)
+
+
+def test_the_parts_are_named_as_the_command_takes_them():
+    found = asked(joined(log(1), log(2, gravity_torque=0.7 * WEIGHT)))
+    said = found.evidence("logs/monday.csv").text
+    assert f'deepkoco diagnose "logs/monday.csv#t={found.until_s:.6g}"' in said
+    assert f'--healthy "logs/monday.csv#t=,{found.after_s:.6g}"' in said
+    assert "#t=" not in found.evidence(None).text
 
 
 def test_one_unit_in_two_motions_has_not_changed():
@@ -72,8 +80,8 @@ def test_a_unit_that_differs_from_the_simulation_all_along_has_not_changed():
 def test_parts_that_are_not_explained_up_to_noise_may_have_changed():
     found = asked(joined(log(1, rough="coulomb"), log(2, rough="coulomb", gravity_torque=0.7 * WEIGHT)))
     assert found is not None
-    assert found.evidence.text.startswith("The unit may have changed in the middle of this log")
-    assert "though not down to the noise" in found.evidence.text
+    assert found.evidence(None).text.startswith("The unit may have changed in the middle of this log")
+    assert "though not down to the noise" in found.evidence(None).text
 
 
 def test_parameters_that_only_imitate_what_is_missing_do_not_differ_clearly():

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from deepkoco.diagnose.residuals.residuals import dispersion
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.fit.solve.scaled_inverse import DivergedError
+from deepkoco.logs.part import named_part
 from deepkoco.pages.units import in_one_unit
 
 FEWEST = 3  # windows before the change, and after it; of these, the one next to it is in neither fitted part
@@ -64,13 +66,20 @@ class ChangedMidway:
         changed = "changed" if self.white else "may have changed"
         return f"the unit {changed} in the middle of this log, between {self.after_s:.4g} and {self.until_s:.4g} s"
 
-    @property
-    def evidence(self) -> Evidence:
-        """The change as a property of the residuals, and what to do next."""
+    def evidence(self, log: str | Path | None) -> Evidence:
+        """Return the change as a property of the residuals, and what to do next.
+
+        Args:
+            log: Path of the log; None for one that is in no file.
+        """
         reach = "" if self.white else ", though not down to the noise"
+        todo = "Diagnose the later part alone, with the part before as a healthy log"
+        if log is not None:
+            later, former = named_part(log, self.until_s), named_part(log, stop=self.after_s)
+            todo += f': deepkoco diagnose "{later}" --healthy "{former}", with the other options of this diagnosis'
         text = (
             f"T{self.when[1:]}: with other parameters before and after, the squared error falls by a factor of "
-            f"{self.fall:.3g}{reach}. {self.changes}Diagnose each part alone, the part before as a healthy log."
+            f"{self.fall:.3g}{reach}. {self.changes}{todo}."
         )
         return Evidence("changed_midway", self.fall, EXPLAINED, text)
 

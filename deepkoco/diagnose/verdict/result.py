@@ -197,7 +197,10 @@ def _signatures(
 ) -> tuple[Evidence, ...]:
     """Return properties of the residuals, a change of the unit in the middle of the log before all others."""
     found = signatures(request.system, explanation.base.train, judgement.final)
-    return found if judgement.midway is None else (judgement.midway.evidence, *found)
+    if judgement.midway is None:
+        return found
+    (log,) = {r.path for r in request.recordings}  # a change is looked for in a single log
+    return (judgement.midway.evidence(log), *found)
 
 
 def _moved(explanation: Explanation, judgement: Judgement) -> tuple[Moved, ...]:

@@ -9,6 +9,7 @@ from pathlib import Path
 from deepkoco.logs.formats.csv_folder import is_pair
 from deepkoco.logs.formats.json_entries import looks_like_entries
 from deepkoco.logs.formats.log_file import LogError
+from deepkoco.logs.part import split_part
 
 SUFFIXES = (".csv", ".parquet", ".pq", ".mcap", ".bag", ".db3", ".pt", ".json")
 DEEPEST = 6  # folders in folders that are searched
@@ -30,20 +31,26 @@ def recordings(paths: Iterable[str | Path], episodes: Collection[int] | None = N
     """List the recordings that paths name, each once, in the given order.
 
     A folder of logs gives the logs in it and in its folders, sorted by name with numbers in their order. A dataset
-    gives its episodes as `DATASET/episode_0` and so on.
+    gives its episodes as `DATASET/episode_0` and so on. A part of a recording (`log.csv#t=2,7.5`) stays one.
 
     Args:
         paths: files and folders.
         episodes: numbers of the episodes to take of datasets; None takes all.
 
     Raises:
-        LogError: a path does not exist, a folder contains no log, or a dataset lacks an episode.
+        LogError: a path does not exist, a folder contains no log, a dataset lacks an episode, or a part is no range of
+            times.
     """
     found: dict[Path, None] = {}
-    for path in map(Path, paths):
+    for named in paths:
+        path, part = split_part(named)
         if not path.exists() and not is_recording(path):
             raise LogError(f"{path}: no such file or folder")
         inside = _inside(path, episodes, 0)
+        if part is not None:
+            if inside != [path]:
+                raise LogError(f"{named}: a part is one of a single recording; name a file or an episode")
+            inside = [Path(named)]
         if not inside:
             raise LogError(
                 f"{path}: the folder contains no log; known are {', '.join(SUFFIXES)}, ROS 2 bags, LeRobot datasets, "
