@@ -14,6 +14,7 @@ from deepkoco.logs.sidecar import ISO, KINDS, ChannelColumn, Column
 from deepkoco.logs.units import UnitError, factor_between, parse_unit
 
 FAR = 5.0  # values farther than this many ranges from the others are taken as missing
+FAR_BACK = 20.0  # usual steps by which a clock goes back that begins again
 JUMP = 0.5  # step to or from a far value, relative to its distance from the others, from which it is a jump
 GAPLESS = 1.5  # values whose distances grow by at most this factor go on from each other
 FEWEST_IN_ROW = 10  # far values that may go on from the others; fewer are glitches
@@ -207,9 +208,19 @@ class ChannelReader:
             )
         keep = np.flatnonzero(~again)
         step = np.append(np.inf, np.diff(time[keep]))
-        advice = "sort or split the log" + self._episodes(channel.topic, row[keep][step < 0])
+        back, usual = step < 0, step[1:][step[1:] > 0]
+        # A writer that mixes up rows is late by some rows; a clock that begins again goes back further.
+        restarts = (
+            back.any() and len(usual) > 0 and float((-step[back]).min()) > FAR_BACK * float(np.median(usual))
+        )
+        advice = (
+            f"the clock begins again there: write each of the {int(back.sum()) + 1} parts into a file of its own, "
+            "under the same header, and give all of them"
+            if restarts
+            else "sort or split the log"
+        ) + self._episodes(channel.topic, row[keep][back])
         before = f"earlier than the {self.log.row_name.split()[-1]} before"
-        self._refuse(channel, stamp, row[keep], step < 0, before, advice)
+        self._refuse(channel, stamp, row[keep], back, before, advice)
         again = "with a duplicate time stamp"
         self._refuse(channel, stamp, row[keep], step == 0, again, "keep one row per stamp")
         return keep

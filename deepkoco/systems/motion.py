@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
+import torch
 from torch import Tensor
 
 Acceleration = Callable[["Motion"], tuple[Tensor, ...]]
@@ -27,6 +28,17 @@ class Motion(NamedTuple):
         """Outside load on a joint [N m or N]; 0 where there is none."""
         given = None if self.loads is None else self.loads[joint]
         return 0.0 if given is None else given
+
+    def direction(self, joint: int, over: float = 0.05) -> Tensor:
+        """Smoothed sign of the speed of a joint, from -1 to 1 (...), for dry friction in equations of motion.
+
+        It is 0 where a simulation lets the joint stick and adds the declared dry friction itself.
+
+        Args:
+            joint: Number of the joint.
+            over: Speed over which the sign changes where the caller asks for none [rad/s or m/s].
+        """
+        return torch.tanh(self.speeds[joint] / (over if self.smoothing is None else self.smoothing[joint]))
 
 
 class Timing(NamedTuple):

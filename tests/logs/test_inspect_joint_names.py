@@ -152,3 +152,14 @@ def test_a_column_in_a_unit_that_its_command_does_not_have_is_a_doubt(tmp_path):
     motors = '<motor name="first" joint="first" gear="9"/><motor name="m2" joint="second"/>'
     _, doubts, _ = machine(tmp_path, motors, frame)
     assert any('"tau_first [N m]" is in N m, and first of' in doubt for doubt in doubts)
+
+
+def test_columns_without_words_have_the_roles_of_their_units(tmp_path):
+    frame = pd.DataFrame({"t": 0.01 * np.arange(600), **swings("M1[Nm]", "M2[Nm]", "A1[deg]", "A2[deg]")})
+    motors = '<motor name="A1" joint="first"/><motor name="A2" joint="second"/>'
+    choices, _, _ = machine(tmp_path, motors, frame)
+    assert choices["q_first"].column.name == "A1[deg]"
+    assert choices["q_second"].column.name == "A2[deg]"
+    # An actuator is called as the angle is; an angle is no torque.
+    assert choices["A1"].column.name == "M1[Nm]"
+    assert choices["A2"].column.name == "M2[Nm]"

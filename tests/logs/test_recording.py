@@ -186,6 +186,10 @@ BAD_TABLES = {
         frame_with("t", [9], 0.15),
         r'column "t": 1 sample earlier than the row before, at line 11;',
     ),
+    "beginning again": (
+        pd.concat([table(), table()]),
+        r"earlier than the row before, .*the clock begins again there: write each of the 2 parts into a file",
+    ),
     "text": (frame_with("theta", [3], "12 deg"), r'column "theta": "12 deg" at line 5 is no number'),
     "too few": (table(10), r'channel "theta" is too short: 10 samples, at least 20'),
     "too short": (

@@ -74,6 +74,22 @@ def test_a_folder_is_searched_with_its_folders_and_without_other_files(tmp_path)
     assert found == ["a.csv", "sub/b.parquet", "sub/deeper/c.mcap"]
 
 
+@pytest.mark.parametrize(
+    ("text", "log"),
+    [
+        ("t\tx\n0.0\t1.0\n", True),
+        ("t x\n0.0 1.0\n", True),
+        ("t;x\n0,0;1,0\n", True),
+        ("shoulder\nelbow\n", False),
+        ("Read me, please\nThe log, of Monday\n", False),
+    ],
+)
+def test_a_text_in_a_folder_is_a_log_if_it_begins_with_names_and_numbers(tmp_path, text, log):
+    (tmp_path / "a.txt").write_text(text)
+    (tmp_path / "b.tsv").write_text("t\tx\n0\t1\n")
+    assert [path.name for path in recordings([tmp_path])] == (["a.txt", "b.tsv"] if log else ["b.tsv"])
+
+
 def test_a_pair_of_commands_and_states_is_one_recording(tmp_path):
     for name in ("first", "second"):
         wide(tmp_path / name / "command.csv")

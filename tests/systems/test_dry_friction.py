@@ -7,10 +7,37 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
-from deepkoco.systems import ExtendedSystem, Motion, make_system
+from deepkoco.systems import Channel, ExtendedSystem, Motion, Parameter, System, make_system
 from deepkoco.systems.dry_friction import rubbed, slide_and_rest
 
 H = 0.01
+
+
+class Block(System):
+    """A block that rubs, as a user writes it."""
+
+    parameters = (
+        Parameter("mass", 2.0, "kg", 0.1, 10.0, 0.1, "m"),
+        Parameter("friction", 3.0, "N", 0.0, 10.0, 0.1, "dry"),
+    )
+    joint_units = ("m",)
+    commands = (Channel("force", "N", "command", -10.0, 10.0),)
+    measurements = (Channel("place", "m", "measurement", noise_sd=1e-4),)
+
+    def dry_friction_limits(self, p):
+        return (p["friction"],)
+
+    def accelerations(self, p):
+        return lambda s: ((s.efforts[0] - p["friction"] * s.direction(0, over=1e-3) + s.load(0)) / p["mass"],)
+
+
+def test_friction_along_the_direction_of_a_motion_is_left_out_where_the_joint_sticks():
+    block = Block()
+    p, motion = block.default_parameters(), Motion(tensors([0.0]), tensors([1.0]), tensors([7.0]))
+    assert float(block.accelerations(p)(motion)[0]) == pytest.approx((7.0 - 3.0) / 2.0)
+    assert float(block.free_accelerations(p)(motion)[0]) == pytest.approx(7.0 / 2.0)
+    slow = motion._replace(speeds=tensors([1e-3]))  # tanh(1) of the friction
+    assert float(block.accelerations(p)(slow)[0]) == pytest.approx((7.0 - 3.0 * np.tanh(1.0)) / 2.0)
 
 
 def tensors(values):

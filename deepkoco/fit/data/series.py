@@ -9,6 +9,7 @@ import numpy as np
 
 from deepkoco.fit.data.differenced import differenced_speeds, shown_between
 from deepkoco.fit.data.even_stamps import with_even_stamps
+from deepkoco.fit.data.goals_of_turns import in_turns_of
 from deepkoco.logs.recording import LogError, Recording
 from deepkoco.systems import System
 
@@ -28,6 +29,30 @@ class CommandSeries:
     def column(self, index: int) -> np.ndarray:
         """(n,) values of one command."""
         return self.value if self.value.ndim == 1 else self.value[:, index]
+
+
+def _goals(
+    recording: Recording,
+    system: System,
+    series: dict[str, tuple[np.ndarray, np.ndarray]],
+    name: str,
+    t: np.ndarray,
+) -> np.ndarray:
+    """Values (n,) of a command; goals of a joint that turns in the turns in which its position counts."""
+    value = recording.channels[name].value
+    command = next(k for k, c in enumerate(system.commands) if c.name == name)
+    if (
+        system.commands[command].unit != "rad"
+        or command >= len(system.command_joints)
+        or not system.shows_states
+    ):
+        return value
+    joint = system.command_joints[command]
+    shown = zip(system.measurements, system.measured_states, strict=True)
+    position = next((c for c, k in shown if k == joint and c.angle and c.name in series), None)
+    if position is None or system.state_units[joint] != "rad":
+        return value
+    return in_turns_of(t, value, *series[position.name], recording.channels[position.name].value)
 
 
 def channel_series(
@@ -71,7 +96,10 @@ def channel_series(
     differenced = differenced_speeds(series, system)
     series, moved = with_even_stamps(series, [recording.channels[name].t for name in names])
     series = shown_between(series, differenced)
-    logged = [replace(recording.channels[name], t=t) for name, t in zip(names, moved, strict=True)]
+    logged = [
+        replace(recording.channels[name], t=t, value=_goals(recording, system, series, name, t))
+        for name, t in zip(names, moved, strict=True)
+    ]
     if not logged:
         # A log of a free motion: every command is at its default.
         ends = [(t[0], t[-1]) for t, _ in series.values()]

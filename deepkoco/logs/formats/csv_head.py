@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import csv
 import re
+from pathlib import Path
 from typing import NamedTuple
 
 from deepkoco.logs.units import UnitError, parse_unit
 
 COMMENT = ("#", "%", "//")
 DELIMITERS = ",;\t|"
+BEGINNING = 1 << 16  # bytes that tell a table from another text
 NUMBER = re.compile(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?|nan|NaN")
 
 
@@ -53,6 +55,20 @@ def read_head(text: str) -> Head:
     if not notes:
         return Head(text, 0, ())
     return Head("\n".join([header, *rest]), ahead, tuple(notes))
+
+
+def looks_like_table(path: Path) -> bool:
+    """Whether a text begins with names of columns and a row of as many numbers; notes and lists of names do not."""
+    try:
+        with path.open("rb") as file:
+            text = file.read(BEGINNING).decode("utf-8-sig", errors="replace").replace("\r\n", "\n")
+    except OSError:
+        return False
+    lines = read_head(text).text.split("\n")
+    if len(lines) < 2:
+        return False
+    names, numbers = _cells(lines[0], lines[0]), _cells(lines[1], lines[0])
+    return len(names) > 1 and len(names) == len(numbers) and _numeric(numbers) and not _numeric(names)
 
 
 def _spaced(lines: list[str]) -> bool:

@@ -7,11 +7,12 @@ from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 
 from deepkoco.logs.formats.csv_folder import is_pair
+from deepkoco.logs.formats.csv_head import looks_like_table
 from deepkoco.logs.formats.json_entries import looks_like_entries
 from deepkoco.logs.formats.log_file import LogError
 from deepkoco.logs.part import split_part
 
-SUFFIXES = (".csv", ".parquet", ".pq", ".mcap", ".bag", ".db3", ".pt", ".json")
+SUFFIXES = (".csv", ".tsv", ".txt", ".parquet", ".pq", ".mcap", ".bag", ".db3", ".pt", ".json")
 DEEPEST = 6  # folders in folders that are searched
 
 
@@ -96,6 +97,8 @@ def _inside(path: Path, episodes: Collection[int] | None, depth: int) -> list[Pa
 
 def _is_log(file: Path) -> bool:
     suffix = file.suffix.lower()
+    if suffix == ".txt":
+        return looks_like_table(file)
     return suffix in SUFFIXES and (suffix != ".json" or looks_like_entries(file))
 
 

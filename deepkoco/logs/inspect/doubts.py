@@ -54,11 +54,14 @@ def _clock(survey: Survey, clock: Clock) -> list[str]:
         remedy = (
             f'the column "{clock.counter}" counts the parts; "where: {{{clock.counter}: {first:g}}}" selects one'
             if clock.counter
-            else "split the log there"
+            else "if the clock begins again there, write each part into a file of its own, under the same header"
         )
         result.append(f"{where} decreases at {survey.log.rows(clock.topic, clock.resets, MANY)}; {remedy}")
     if clock.duplicates:
-        result.append(f"{where} repeats a stamp {clock.duplicates} times; keep one row per stamp")
+        result.append(
+            f"{where} repeats a stamp {clock.duplicates} times; a row that occurs twice is used once, of rows that "
+            "differ keep one"
+        )
     if clock.missing:
         result.append(f"{where} has {clock.missing} rows without a stamp")
     if clock.gaps and clock.longest_gap_s and clock.rate_hz and clock.longest_gap_s * clock.rate_hz > 10:
@@ -127,7 +130,12 @@ def _units(survey: Survey, proposal: Proposal) -> list[str]:
                 f"sidecar, and as scale how many {si} one {choice.unit} is"
             )
             continue
-        if _counts(survey, choice):
+        if choice.scale != 1.0 and not choice.stated and not proposal.joints:
+            result.append(
+                f'"{choice.column.name}" has whole numbers only, and {choice.reasons[-1]}; check it, and correct '
+                "the key scale: 2 pi / (counts per turn)"
+            )
+        elif _counts(survey, choice):
             each = f"2 pi / (counts per turn), in {si}" if si.startswith("rad") else f"{si} per count"
             result.append(
                 f'"{choice.column.name}" has whole numbers only ({choice.column.low:.6g} to '
@@ -139,7 +147,7 @@ def _units(survey: Survey, proposal: Proposal) -> list[str]:
                 f"({_range(choice)}); check it"
             )
         limit = max(abs(choice.channel.low), abs(choice.channel.high))
-        top = _largest(choice) * factor_between(choice.unit, si)
+        top = abs(choice.scale) * _largest(choice) * factor_between(choice.unit, si)
         if choice.channel.kind == "command" and math.isfinite(limit) and top > 0:
             if top > 20.0 * limit:
                 result.append(

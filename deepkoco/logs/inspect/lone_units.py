@@ -1,33 +1,53 @@
-"""Units of positions that neither a name nor a speed states: those in which the equations of the system hold."""
+"""Units of positions and goals that neither a name nor a speed states: those in which the equations hold."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 import torch
 
 from deepkoco.logs.inspect.choice import Choice, Proposal
+from deepkoco.logs.inspect.counts import PER_TURN, Counts, in_counts, turn_of
 from deepkoco.logs.inspect.evidence import Samples
 from deepkoco.logs.units import factor_between, parse_unit
 from deepkoco.systems import Motion, System
 
 UNITS = {"angle": ("rad", "deg", "rev"), "length": ("m", "mm", "cm")}
-MOST_DOUBTFUL = 3  # positions whose units are tried together
+MOST_DOUBTFUL = 3  # positions and goals whose units are tried together
 MOST_POINTS = 4000  # of the grid of times
 REACH = 0.2  # seconds on each side over which accelerations are compared
 LEAST = 4  # and steps of the grid
 LESS = 0.4  # share of the misfit as proposed below which other units are taken
+ROOM = 2.0  # times its limit that a command may reach
+ALIKE = 1.5  # times the misfit of the best reading below which another one is told
+NEAR = 0.15  # as is one that differs from it by this share: masses and gains of the description are not exact either
+
+
+class Reading(NamedTuple):
+    """How the numbers of a column are read: in a unit, or as ``counts`` of a turn."""
+
+    unit: str
+    counts: Counts | None = None
+
+    @property
+    def scale(self) -> float:
+        return 1.0 if self.counts is None else self.counts.scale
+
+    def __str__(self) -> str:
+        return self.unit if self.counts is None else f"counts, {self.counts.per_turn} of them a turn"
 
 
 def with_likely_units(system: System, proposal: Proposal, samples: Mapping[str, Samples]) -> Proposal:
-    """Give positions without a stated unit the unit in which the system's accelerations are those of the log.
+    """Give positions and goals without a stated unit the unit in which the system's accelerations are those of the log.
 
-    A joint of 30 deg that is read as 30 rad is accelerated 57 times as much as its actuator can. The weak form avoids
-    second differences: for a bump w of finite support, the sum of w'' q is that of w times the acceleration.
+    A joint of 30 deg that is read as 30 rad is accelerated 57 times as much as its actuator can. Whole numbers may
+    also be counts of an encoder. The weak form avoids second differences: for a bump w of finite support, the sum of
+    w'' q is that of w times the acceleration.
 
     Args:
         system: The system, whose measurements must show all its positions.
@@ -35,27 +55,73 @@ def with_likely_units(system: System, proposal: Proposal, samples: Mapping[str, 
         samples: Label -> stamps [s] and values of each column.
     """
     positions = _positions(system, proposal)
-    doubtful = _lone(system, proposal)[:MOST_DOUBTFUL]
+    groups = _doubtful(system, proposal, samples)[:MOST_DOUBTFUL]
     drives = [c for c in proposal.choices if c.channel.kind == "command" and c.column is not None]
-    if positions is None or not doubtful or len(drives) < len(system.commands):
+    if not groups:
         return proposal
-    try:
-        best = _best_units(system, positions, doubtful, drives, samples)
-    except (RuntimeError, ValueError):  # equations that cannot be evaluated there
-        return proposal
-    changed = {c.channel.name: unit for c, unit in zip(doubtful, best, strict=True) if unit != c.unit}
-    why = "the equations fit it in {} and not in {}"
-    choices = [
-        c
-        if c.channel.name not in changed
-        else replace(
-            c,
-            unit=changed[c.channel.name],
-            reasons=(*c.reasons, why.format(changed[c.channel.name], c.unit)),
+    tried = [_readings(group, samples) for group in groups]
+    best, alike = tuple(readings[0] for readings in tried), ()
+    if any(len(readings) > 1 for readings in tried):
+        if positions is None or len(drives) < len(system.commands):
+            tried = [readings[:1] for readings in tried]
+        try:
+            best, alike = _best_readings(system, positions or [], groups, tried, drives, samples)
+        except (RuntimeError, ValueError):  # equations that cannot be evaluated there
+            return proposal
+    changed = {
+        c.channel.name: _read(c, reading, alike)
+        for group, reading in zip(groups, best, strict=True)
+        for c in group
+        if reading != Reading(c.unit)
+    }
+    return replace(proposal, choices=tuple(changed.get(c.channel.name, c) for c in proposal.choices))
+
+
+def _read(choice: Choice, reading: Reading, alike: Sequence[Reading]) -> Choice:
+    counts = reading.counts
+    if counts is not None and counts.wraps:
+        why = f"it begins again after {counts.per_turn}: ticks of a turn"
+    else:
+        why = f"the equations fit it in {reading} and not in {choice.unit}"
+        others = [str(r.counts.per_turn) for r in alike if r.counts is not None and r != reading]
+        why += f"; {' or '.join(others)} would fit about as well" if others else ""
+    return replace(choice, unit=reading.unit, scale=reading.scale, reasons=(*choice.reasons, why))
+
+
+def _readings(group: Sequence[Choice], samples: Mapping[str, Samples]) -> list[Reading]:
+    """Ways to read the numbers of a group, the proposed one first; one alone where the numbers show it."""
+    first = group[0]
+    assert first.column is not None
+    quantity = parse_unit(first.channel.unit).quantity
+    units = [Reading(u) for u in UNITS.get(quantity, ()) if u != first.unit]
+    own = samples[first.column.label]
+    if in_counts(first, own):
+        turn = turn_of(own[1])
+        if turn is not None:
+            return [Reading("rad", turn)]
+        units += [Reading("rad", Counts(n, False)) for n in PER_TURN]
+    return [Reading(first.unit), *units]
+
+
+def _doubtful(system: System, proposal: Proposal, samples: Mapping[str, Samples]) -> list[list[Choice]]:
+    """Choices without a stated unit that must have one: positions, and goals, with their position where both count."""
+    lone = _lone(system, proposal)
+    shown = _shown(system, proposal)
+    groups = [[c] for c in lone]
+    mapped = {c.channel.name: c for c in proposal.choices if c.column is not None}
+    for command, joint in zip(system.commands, system.command_joints, strict=False):
+        goal, place = mapped.get(command.name), shown[joint] if joint < len(shown) else None
+        if goal is None or goal.stated or goal.column is None or command.unit != system.state_units[joint]:
+            continue
+        own = next((g for g in groups if place is not None and g[0] is place), None)
+        counted = (
+            own is not None and own[0].column is not None and in_counts(own[0], samples[own[0].column.label])
         )
-        for c in proposal.choices
-    ]
-    return replace(proposal, choices=tuple(choices))
+        if own is not None and counted and in_counts(goal, samples[goal.column.label], least=1):
+            own.append(goal)
+        else:
+            groups.append([goal])
+    return groups
 
 
 def _positions(system: System, proposal: Proposal) -> list[Choice] | None:
@@ -80,44 +146,59 @@ def _shown(system: System, proposal: Proposal) -> list[Choice | None]:
     return [mapped.get(names.get(k, "")) for k in range(2 * system.joints)]
 
 
-def _best_units(
+def _best_readings(
     system: System,
     positions: list[Choice],
-    doubtful: list[Choice],
+    groups: Sequence[Sequence[Choice]],
+    tried: Sequence[Sequence[Reading]],
     drives: list[Choice],
     samples: Mapping[str, Samples],
-) -> tuple[str, ...]:
-    tried = product(*((c.unit, *_others(c)) for c in doubtful))
-    found = {units: _misfit(system, positions, doubtful, units, drives, samples) for units in tried}
-    as_proposed = found[tuple(c.unit for c in doubtful)]
-    best = min(found, key=lambda units: found[units])
-    return best if found[best] < LESS * as_proposed else tuple(c.unit for c in doubtful)
+) -> tuple[tuple[Reading, ...], tuple[Reading, ...]]:
+    """The reading of each group, and readings that fit about as well."""
+    proposed = tuple(readings[0] for readings in tried)
+    found: dict[tuple[Reading, ...], float] = {}
+    if len(list(product(*tried))) == 1:
+        return proposed, ()
+    for readings in product(*tried):
+        taken = {c.channel.name: r for group, r in zip(groups, readings, strict=True) for c in group}
+        # Linear equations hold in any unit that goals and positions share: the limits of the commands then decide.
+        beyond = any(_beyond(c, taken, samples) for c in drives)
+        found[readings] = math.inf if beyond else _misfit(system, positions, taken, drives, samples)
+    best = min(found, key=lambda readings: found[readings])
+    if not found[best] < LESS * found[proposed]:
+        return proposed, ()
+    alike = {
+        r
+        for readings, misfit in found.items()
+        for r, b in zip(readings, best, strict=True)
+        if r != b and (misfit < ALIKE * found[best] or abs(r.scale / b.scale - 1.0) < NEAR)
+    }
+    return best, tuple(sorted(alike, key=lambda r: -r.scale))
 
 
-def _others(choice: Choice) -> tuple[str, ...]:
-    units = UNITS.get(parse_unit(choice.channel.unit).quantity, ())
-    return tuple(u for u in units if u != choice.unit)
+def _beyond(choice: Choice, taken: Mapping[str, Reading], samples: Mapping[str, Samples]) -> bool:
+    """Whether a command would be far above its limits."""
+    limit = max(abs(choice.channel.low), abs(choice.channel.high))
+    assert choice.column is not None
+    return (
+        float(np.abs(_in_si(choice, taken, samples[choice.column.label][1])).max(initial=0.0)) > ROOM * limit
+    )
 
 
 def _misfit(
     system: System,
     positions: list[Choice],
-    doubtful: list[Choice],
-    units: tuple[str, ...],
+    taken: Mapping[str, Reading],
     drives: list[Choice],
     samples: Mapping[str, Samples],
 ) -> float:
     """Difference of the accelerations of the log and of the equations, 0 for equal ones and 1 for unrelated ones."""
-    assumed = {c.channel.name: unit for c, unit in zip(doubtful, units, strict=True)}
     rows = [samples[c.column.label] for c in positions if c.column is not None]
     start, end = max(t[0] for t, _ in rows), min(t[-1] for t, _ in rows)
     step = max(float(np.median(np.diff(t))) for t, _ in rows)
     grid = start + step * np.arange(min(MOST_POINTS, int((end - start) / step)))
-    q = [
-        np.interp(grid, t, value * factor_between(assumed.get(c.channel.name, c.unit), c.channel.unit))
-        for c, (t, value) in zip(positions, rows, strict=True)
-    ]
-    efforts = [_held(c, samples, grid) for c in drives]
+    q = [np.interp(grid, t, _in_si(c, taken, value)) for c, (t, value) in zip(positions, rows, strict=True)]
+    efforts = [_held(c, taken, samples, grid) for c in drives]
     reach = max(LEAST, round(REACH / step))
     bump = np.pad((1.0 - np.linspace(-1.0, 1.0, 2 * reach + 1) ** 2) ** 3, 1)
     # The sum and the first moment of the second difference vanish exactly, so offsets do not count.
@@ -137,8 +218,16 @@ def _misfit(
     return total / len(q)
 
 
-def _held(choice: Choice, samples: Mapping[str, Samples], grid: np.ndarray) -> np.ndarray:
+def _in_si(choice: Choice, taken: Mapping[str, Reading], value: np.ndarray) -> np.ndarray:
+    reading = taken.get(choice.channel.name, Reading(choice.unit))
+    si = value * (choice.scale if reading.counts is None else reading.scale)
+    si = (si + choice.offset) * factor_between(reading.unit, choice.channel.unit)
+    return np.unwrap(si) if reading.counts is not None and reading.counts.wraps else si
+
+
+def _held(
+    choice: Choice, taken: Mapping[str, Reading], samples: Mapping[str, Samples], grid: np.ndarray
+) -> np.ndarray:
     assert choice.column is not None
     t, value = samples[choice.column.label]
-    held = value[np.maximum(np.searchsorted(t, grid, side="right") - 1, 0)]
-    return held * factor_between(choice.unit, choice.channel.unit)
+    return _in_si(choice, taken, value)[np.maximum(np.searchsorted(t, grid, side="right") - 1, 0)]

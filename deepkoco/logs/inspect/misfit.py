@@ -25,6 +25,7 @@ GRAVITY = (
 DRIVE = (1e-3, 1e3)  # the same of the commands
 SURE = 5.0  # standard deviations by which a factor must lie outside
 EXPLAINED = 0.5  # share of the changes of speed that the regression explains at least
+ONE_TURN = 2.02 * np.pi  # range up to which a goal may begin again after a turn [rad]
 FOLLOWED = 0.2  # share of the variance of a position that the goal of a servo explains at least
 
 
@@ -166,7 +167,12 @@ def _lost_goal(system: System, proposal: Proposal, samples: Mapping[str, Samples
         goal, position = chosen.get(command.name), chosen.get(state.name)
         if goal is None or position is None or goal.column is None or position.column is None:
             continue
-        relation = track(*samples[position.column.label], *samples[goal.column.label])
+        (t, place), (sent, wanted) = samples[position.column.label], samples[goal.column.label]
+        if position.scale != 1.0 and command.unit == "rad":
+            # Ticks of a turn, which may begin again after each.
+            place, wanted = np.unwrap(position.scale * place), goal.scale * wanted
+            wanted = np.unwrap(wanted) if np.ptp(wanted) <= ONE_TURN else wanted
+        relation = track(t, place, sent, wanted)
         if relation is not None and relation.explained < FOLLOWED:
             return f'"{position.column.name}" does not follow "{goal.column.name}" as behind a servo'
     return None

@@ -90,8 +90,8 @@ MEASURED = (
 COUNTING = ("episode", "seq", "index", "frame", "row", "step", "run", "trial", "unnamed", "iteration")
 # Units at the end of a name.
 SUFFIXES = {
-    "rad": "rad", "deg": "deg", "degrees": "deg", "rad_s": "rad/s", "rad_per_s": "rad/s", "radps": "rad/s",
-    "rads": "rad/s",
+    "rad": "rad", "deg": "deg", "degrees": "deg", "grad": "deg", "rad_s": "rad/s", "rad_per_s": "rad/s",
+    "radps": "rad/s", "rads": "rad/s",
     "deg_s": "deg/s", "deg_per_s": "deg/s", "dps": "deg/s", "degps": "deg/s", "rpm": "rpm", "nm": "N m", "n_m": "N m",
     "mnm": "mN m", "s": "s", "sec": "s", "secs": "s", "seconds": "s", "ms": "ms", "msec": "ms", "millis": "ms",
     "us": "us",
@@ -190,7 +190,9 @@ def _unit_suffix(parts: list[str]) -> tuple[list[str], str | None]:
     for length in (3, 2, 1):
         if len(parts) > length:
             text = "_".join(parts[-length:])
-            unit = SUFFIXES.get(text.lower()) or (text if text in known_units() else None)
+            # "v_m/min" and "v_m_min": whatever stands between the two has been taken for a separator.
+            spelled = (text, "/".join(parts[-length:]))
+            unit = SUFFIXES.get(text.lower()) or next((t for t in spelled if t in known_units()), None)
             if unit is not None:
                 return parts[:-length], unit
     return parts, None

@@ -42,6 +42,7 @@ SPEED = {
     "dpos",
 }
 EFFORT = {"load", "effort", "efforts", "torque", "torques", "tau", "current", "currents"}
+LOADS = ("torque", "force")
 FILLER = {
     "joint",
     "joints",
@@ -76,8 +77,8 @@ class LogJoint:
 def log_joints(columns: Sequence[ColumnSurvey], joints: Sequence[str] = ()) -> list[LogJoint]:
     """Group columns by joint, in the order of the log; joints without a position are left out.
 
-    A column that is called as a joint of the model, ``tilt`` or ``tilt_deg``, has the role that its unit says, without
-    a unit that of the position.
+    A column whose words say no role has the one that its unit says: ``A1[deg]`` is a position, ``M1[Nm]`` an effort.
+    A column that is called as a joint of the model, ``tilt``, is a position where it has no unit.
 
     Args:
         columns: Those of the log.
@@ -89,19 +90,23 @@ def log_joints(columns: Sequence[ColumnSurvey], joints: Sequence[str] = ()) -> l
         if not column.usable:
             continue
         role, label = role_of(column)
-        if role is None and label in known:
-            role = _role_by_unit(column) or "position"
+        if role is None:
+            role = _role_by_unit(column, named=label in known) or ("position" if label in known else None)
         if role is not None:
             found.setdefault(label, LogJoint(label)).columns.setdefault(role, column)
     return [joint for joint in found.values() if "position" in joint.columns]
 
 
-def _role_by_unit(column: ColumnSurvey) -> str | None:
-    """Role that the unit in a column's name says; None without a unit."""
+def _role_by_unit(column: ColumnSurvey, *, named: bool = False) -> str | None:
+    """Role that the unit in a column's name says; None where it says none.
+
+    A voltage or a current may be that of a supply, so it drives a joint only where the column is ``named`` after one.
+    """
     if column.hints.unit is None:
         return None
     quantity = parse_unit(column.hints.unit).quantity
-    return "position" if quantity in POSITIONS else "speed" if quantity in SPEEDS else "effort"
+    roles = {**dict.fromkeys(POSITIONS, "position"), **dict.fromkeys(SPEEDS, "speed")}
+    return roles.get(quantity) or ("effort" if named or quantity in LOADS else None)
 
 
 def loose_goals(columns: Sequence[ColumnSurvey], joints: Sequence[LogJoint]) -> list[ColumnSurvey]:
@@ -114,7 +119,8 @@ def loose_efforts(columns: Sequence[ColumnSurvey], joints: Sequence[LogJoint]) -
     """Columns of efforts that belong to none of the joints by their names, commanded ones first."""
     known = {column.label for joint in joints for column in joint.columns.values()}
     free = [c for c in columns if c.usable and c.label not in known]
-    return [c for role in ("goal effort", "effort") for c in free if role_of(c)[0] == role]
+    roles = [(c, role_of(c)[0] or _role_by_unit(c)) for c in free]
+    return [c for role in ("goal effort", "effort") for c, own in roles if own == role]
 
 
 def role_of(column: ColumnSurvey) -> tuple[str | None, str]:

@@ -60,7 +60,8 @@ def propose_joints(surveys: Sequence[Survey], system: System) -> Proposal:
     by_number = {joint.number: joint for joint in joints}
     measured = [_measurement(survey, system, c, by_number, findings) for c in system.measurements]
     commanded = [_command(survey, system, k, by_number, findings) for k in range(len(system.commands))]
-    commanded = [_by_name(survey, choice) for choice in commanded]
+    shown = {c.column.label for c in measured if c.column is not None}
+    commanded = [_by_name(survey, choice, shown) for choice in commanded]
     taken = {c.column.label for c in commanded if c.column is not None}
     loose = [column for column in loose_efforts(survey.columns, found) if column.label not in taken]
     choices = [*measured, *_with_loose_efforts(system, commanded, loose)]
@@ -259,14 +260,20 @@ def _command(
     return _chosen(channel, column, scaling, finding, reasons, scale, offset)
 
 
-def _by_name(survey: Survey, choice: Choice) -> Choice:
-    """A command without a column, with the one that has its name: that of the actuator, alone or behind `cmd_`."""
+def _by_name(survey: Survey, choice: Choice, shown: set[str]) -> Choice:
+    """A command without a column, with the one that has its name: that of the actuator, alone or behind `cmd_`.
+
+    Args:
+        survey: Of the log.
+        choice: For the command.
+        shown: Labels of the columns that are measurements.
+    """
     if choice.column is not None:
         return choice
     names = {name.lower() for name in wanted_names(choice.channel.name, "command")}
     for column in survey.columns:
         plain = re.sub(r"\s*[\[(][^\[\]()]*[\])]\s*$", "", column.name).strip().lower()
-        if column.usable and plain in names:
+        if column.usable and plain in names and column.label not in shown:
             unit = column.hints.unit
             return Choice(
                 choice.channel,
@@ -282,7 +289,10 @@ def _by_name(survey: Survey, choice: Choice) -> Choice:
 def _with_loose_efforts(
     system: System, commands: Sequence[Choice], loose: Sequence[ColumnSurvey]
 ) -> list[Choice]:
-    """Give efforts without names of joints, in their order, to the commands of forces that have no column."""
+    """Give efforts without names of joints, in their order, to the commands of forces that have no column.
+
+    A column in N m goes to a command in N m, and one in N to one in N, where there are such commands.
+    """
     free = [
         k
         for k, choice in enumerate(commands)
@@ -294,9 +304,13 @@ def _with_loose_efforts(
     result = list(commands)
     if not loose or len(loose) > len(free):
         return result
-    for k, column in zip(free, loose, strict=False):
-        channel = commands[k].channel
+    for column in loose:
         unit = column.hints.unit
+        quantity = None if unit is None else parse_unit(unit).quantity
+        alike = [k for k in free if parse_unit(commands[k].channel.unit).quantity == quantity]
+        k = (alike or free)[0]
+        free.remove(k)
+        channel = commands[k].channel
         result[k] = Choice(
             channel, column, unit or channel.unit, unit is not None, LOOSE, ("the next effort in the order",)
         )
