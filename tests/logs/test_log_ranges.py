@@ -12,10 +12,10 @@ from deepkoco.logs.series import Series, far_values
 from deepkoco.logs.sidecar import ChannelColumn, Column
 
 
-def checked(value: np.ndarray, unit: str = "rad") -> list[str]:
-    """Doubts about an angle [rad] whose column was declared in ``unit``."""
+def checked(value: np.ndarray, unit: str = "rad", scale: float = 1.0) -> list[str]:
+    """Doubts about an angle [rad] whose column was declared in ``unit`` and with ``scale``."""
     t = 0.01 * np.arange(len(value))
-    column = ChannelColumn(Column("theta", unit), "measurement", None)
+    column = ChannelColumn(Column("theta", unit), "measurement", None, scale=scale)
     return check_units(Path("log.csv"), {"theta": Series(t, value, "rad", "measurement")}, {"theta": column})
 
 
@@ -32,6 +32,12 @@ def test_an_angle_that_is_declared_in_degrees_may_turn_many_times():
     assert checked(300.0 * SWING, "deg") == []
     with pytest.raises(LogError, match="if it is in deg"):
         checked(300.0 * SWING, "rev")
+
+
+def test_an_angle_that_is_declared_in_counts_may_turn_many_times():
+    assert checked(300.0 * SWING, scale=2.0 * math.pi / 2048) == []
+    with pytest.raises(LogError, match="if it is in deg"):
+        checked(300.0 * SWING, scale=-1.0)  # another direction says nothing of the unit
 
 
 def test_check_units_accepts_wrapped_angles_and_single_glitches():

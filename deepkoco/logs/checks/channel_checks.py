@@ -113,9 +113,12 @@ def check_units(
 
 
 def _in_degrees(column: ChannelColumn) -> bool:
-    """Whether an angle is declared in degrees or less. No usual unit is smaller, so a long range is that of a motor."""
+    """Whether a 1 of an angle's column is declared to be a degree or less, in its unit or as counts of an encoder.
+
+    No usual unit is smaller, so a long range is that of a motor.
+    """
     unit = parse_unit(column.value.unit)
-    return unit.quantity == "angle" and unit.factor <= parse_unit("deg").factor
+    return unit.quantity == "angle" and abs(column.scale) * unit.factor <= parse_unit("deg").factor
 
 
 def derivative_pairs(channels: Mapping[str, Series]) -> list[tuple[str, str]]:
