@@ -110,10 +110,11 @@ def find_stored(origin: str, folder: Path) -> System:
 
 def _tree(path: Path) -> System:
     # MuJoCo reads the file: it is imported for those who have one.
-    from deepkoco.systems.trees import TreeError, TreeSystem
+    from deepkoco.systems.trees import TreeError
+    from deepkoco.systems.trees.following import robot_from_file
 
     try:
-        system = TreeSystem.from_file(path)
+        system = robot_from_file(path)
     except TreeError as error:
         raise SystemLoadError(str(error)) from error
     system.origin = str(path)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from fnmatch import fnmatchcase
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,7 +13,16 @@ from deepkoco.systems.trees.mujoco_library import mujoco_library
 from deepkoco.systems.trees.tree import TreeError
 
 
-def hold_joints(spec: Any, held: Mapping[str, float]) -> tuple[str, ...]:
+class Follower(NamedTuple):
+    """A joint at ``offset + ratio q`` of another one, the leader [rad or m]; without a leader it stands still."""
+
+    name: str
+    leader: str
+    offset: float
+    ratio: float
+
+
+def hold_joints(spec: Any, held: Mapping[str, float], kept: Collection[str] = ()) -> tuple[str, ...]:
     """Take joints out of a specification, so that their bodies are fixed to what carries them.
 
     A joint that follows another (``<mimic>``, an equality of joints) is held too if no free joint lies behind it, as
@@ -25,6 +34,7 @@ def hold_joints(spec: Any, held: Mapping[str, float]) -> tuple[str, ...]:
         spec: The specification (`mujoco.MjSpec`); it is changed.
         held: Position [rad, m] by name of the joint, or by a pattern of names; NaN stands for the position in which the
             model is drawn. A joint without a name has that of its body.
+        kept: Names of joints that follow others and stay joints of the tree; see :class:`.FollowingSystem`.
 
     Returns:
         Sentences on what is held.
@@ -33,12 +43,18 @@ def hold_joints(spec: Any, held: Mapping[str, float]) -> tuple[str, ...]:
         TreeError: There is no such joint, or one cannot be held alone; the message names it.
     """
     joints = {joint_name(joint): joint for joint in spec.joints}
-    chosen = _chosen(spec, held, joints)
+    chosen = chosen_joints(spec, held)
     notes = [f"held, as the settings say: {', '.join(chosen)}"] if chosen else []
-    for follower, leader, offset in _followers(spec, chosen):
-        chosen[follower] = offset
-        alone = "" if leader in chosen else f': "{leader}" moves its own bodies alone'
-        notes.append(f'the joint "{follower}" follows "{leader}" and is held{alone}')
+    found = followers(spec, chosen)
+    for follower in found:
+        if follower.name in kept:
+            continue
+        chosen[follower.name] = follower.offset
+        alone = "" if follower.leader in chosen else f': "{follower.leader}" moves its own bodies alone'
+        notes.append(f'the joint "{follower.name}" follows "{follower.leader}" and is held{alone}')
+    for equality in list(spec.equalities):
+        if equality.name1 in kept or equality.name2 in kept:
+            spec.delete(equality)
     if not chosen:
         return ()
     moved = {name: by for name, by in chosen.items() if by != 0.0}
@@ -63,8 +79,13 @@ def joint_name(joint: Any) -> str:
     return joint.name or joint.parent.name
 
 
-def _chosen(spec: Any, held: Mapping[str, float], joints: Mapping[str, Any]) -> dict[str, float]:
-    """Displacement of each joint that is held from the position in which the model is drawn."""
+def chosen_joints(spec: Any, held: Mapping[str, float]) -> dict[str, float]:
+    """Displacement of each joint that is held from the position in which the model is drawn [rad or m].
+
+    Raises:
+        TreeError: There is no such joint.
+    """
+    joints = {joint_name(joint): joint for joint in spec.joints}
     chosen: dict[str, float] = {}
     for pattern, position in held.items():
         found = [name for name in joints if fnmatchcase(name, pattern)]
@@ -76,22 +97,31 @@ def _chosen(spec: Any, held: Mapping[str, float], joints: Mapping[str, Any]) -> 
     return chosen
 
 
-def _followers(spec: Any, chosen: Mapping[str, float]) -> list[tuple[str, str, float]]:
-    """Joints that follow others or are fixed by an equality, the other joint, and their displacement."""
+def followers(spec: Any, chosen: Mapping[str, float]) -> list[Follower]:
+    """Joints that follow others or are fixed by an equality, without free joints behind them.
+
+    Args:
+        spec: The specification (`mujoco.MjSpec`).
+        chosen: Joints that are held in any case, by name.
+    """
     joint_equality = mujoco_library().mjtEq.mjEQ_JOINT
     moved = {a.target for a in spec.actuators}
     joints = {joint.name: joint for joint in spec.joints}
-    found: dict[str, tuple[str, str, float]] = {}
+    found: dict[str, Follower] = {}
     for equality in spec.equalities:
         if equality.type != joint_equality or not equality.active:
             continue
-        follower, leader, offset = equality.name1, equality.name2, float(equality.data[0])
-        if follower not in joints or (leader and leader not in joints):
+        name, leader = equality.name1, equality.name2
+        offset, ratio = float(equality.data[0]), float(equality.data[1])
+        if name not in joints or (leader and leader not in joints):
             continue  # MuJoCo says so when it compiles
-        if leader and follower in moved and leader not in moved:
-            follower, leader, offset = leader, follower, 0.0
-        if follower not in chosen:
-            found.setdefault(follower, (follower, leader or equality.name or "an equality", offset))
+        if leader and name in moved and leader not in moved:
+            name, leader, offset = leader, name, 0.0
+            ratio = 1.0 / ratio if ratio else 0.0
+        if any(float(c) for c in equality.data[2:5]):
+            ratio = 0.0  # no straight line: what follows it is held
+        if name not in chosen:
+            found.setdefault(name, Follower(name, leader or equality.name or "an equality", offset, ratio))
     still = {*found, *chosen}
     return [own for name, own in found.items() if not _carries_joints(joints[name].parent, still)]
 

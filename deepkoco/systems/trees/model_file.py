@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from deepkoco.systems.trees.held_joints import hold_joints
+from deepkoco.systems.trees.held_joints import Follower, chosen_joints, followers, hold_joints
 from deepkoco.systems.trees.inertias import give_inertia, mend_inertias
 from deepkoco.systems.trees.messages import in_one_sentence, massless_body, missing_file
 from deepkoco.systems.trees.mujoco_library import mujoco_library, warnings_of_mujoco
@@ -18,7 +18,9 @@ from deepkoco.systems.trees.tree import TreeError
 MOST_FILES = 1000  # missing files of one model
 
 
-def read_model(path: str | Path, held: Mapping[str, float] | None = None) -> tuple[Any, tuple[str, ...]]:
+def read_model(
+    path: str | Path, held: Mapping[str, float] | None = None, kept: Collection[str] = ()
+) -> tuple[Any, tuple[str, ...]]:
     """Compile an MJCF or URDF file.
 
     What only shows (meshes of bodies whose inertia is given, textures, height fields) is left out where its file is
@@ -28,6 +30,7 @@ def read_model(path: str | Path, held: Mapping[str, float] | None = None) -> tup
     Args:
         path: File; other files that it includes are found beside it.
         held: Joints that are held; see :func:`.hold_joints`.
+        kept: Joints that follow others and are not held.
 
     Returns:
         The `mujoco.MjModel`, and sentences on what was left out of it or changed.
@@ -35,8 +38,24 @@ def read_model(path: str | Path, held: Mapping[str, float] | None = None) -> tup
     Raises:
         TreeError: The file is missing or is not valid; the message names the element and the way out.
     """
-    model, _, notes = _compiled(Path(path), held or {})
+    model, _, notes = _compiled(Path(path), held or {}, kept)
     return model, notes
+
+
+def read_followers(path: str | Path, held: Mapping[str, float] | None = None) -> tuple[Follower, ...]:
+    """Joints of a file that follow others along a straight line, and whose leader is neither held nor follows another.
+
+    Raises:
+        TreeError: The file is missing or is not valid, or ``held`` names a joint that it does not have.
+    """
+    path = Path(path)
+    _compiled(path, held or {})
+    spec = _spec(path)
+    chosen = chosen_joints(spec, held or {})
+    found = [own for own in followers(spec, chosen) if own.ratio]
+    led = {own.name for own in found}
+    joints = {joint.name for joint in spec.joints}
+    return tuple(own for own in found if own.leader in joints and own.leader not in led | set(chosen))
 
 
 def read_spec(path: str | Path, held: Mapping[str, float] | None = None) -> tuple[Any, tuple[str, ...]]:
@@ -56,7 +75,9 @@ class _Lacks:
     """Bodies that move and have none."""
 
 
-def _compiled(path: Path, held: Mapping[str, float]) -> tuple[Any, _Lacks, tuple[str, ...]]:
+def _compiled(
+    path: Path, held: Mapping[str, float], kept: Collection[str] = ()
+) -> tuple[Any, _Lacks, tuple[str, ...]]:
     """The model, what its file lacks, and sentences on what was left out or changed."""
     if not path.is_file():
         raise TreeError(f"{path}: there is no such file")
@@ -65,16 +86,18 @@ def _compiled(path: Path, held: Mapping[str, float]) -> tuple[Any, _Lacks, tuple
     except ElementTree.ParseError as error:
         raise TreeError(f"{path}: is no valid XML: {error}") from None
     with warnings_of_mujoco() as told:
-        model, lacks, notes = _tried(path, held)
+        model, lacks, notes = _tried(path, held, kept)
     return model, lacks, (*notes, *(f"MuJoCo says: {each}" for each in dict.fromkeys(told)))
 
 
-def _tried(path: Path, held: Mapping[str, float]) -> tuple[Any, _Lacks, tuple[str, ...]]:
+def _tried(
+    path: Path, held: Mapping[str, float], kept: Collection[str]
+) -> tuple[Any, _Lacks, tuple[str, ...]]:
     """The model as soon as it compiles without what its file lacks."""
     lacks = _Lacks(_not_there(_spec(path), path))
     for _ in range(MOST_FILES):
         # A specification that failed to compile may have changed: each try starts from the file.
-        spec, notes = _prepared(path, lacks, held)
+        spec, notes = _prepared(path, lacks, held, kept)
         _refuse_muscles(spec, path)
         try:
             return spec.compile(), lacks, notes
@@ -89,12 +112,14 @@ def _tried(path: Path, held: Mapping[str, float]) -> tuple[Any, _Lacks, tuple[st
     raise TreeError(f"{path}: more than {MOST_FILES} files are missing")
 
 
-def _prepared(path: Path, lacks: _Lacks, held: Mapping[str, float]) -> tuple[Any, tuple[str, ...]]:
+def _prepared(
+    path: Path, lacks: _Lacks, held: Mapping[str, float], kept: Collection[str] = ()
+) -> tuple[Any, tuple[str, ...]]:
     """The specification without what it lacks, with its joints held and its inertias mended, and sentences on these."""
     spec = _spec(path)
     notes = [*_left_out(spec, path, lacks.files)]
     try:
-        notes += hold_joints(spec, held)
+        notes += hold_joints(spec, held, kept)
     except TreeError as error:
         raise TreeError(f"{path}: {error}") from None
     notes += mend_inertias(spec)
