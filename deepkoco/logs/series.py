@@ -14,6 +14,8 @@ from deepkoco.logs.sidecar import ISO, KINDS, ChannelColumn, Column
 from deepkoco.logs.units import UnitError, factor_between, parse_unit
 
 FAR = 5.0  # values farther than this many ranges from the others are taken as missing
+# Commands: a controller that holds still answers a new goal or a push with many times what it usually sends.
+FAR_COMMAND = 50.0
 FAR_BACK = 20.0  # usual steps by which a clock goes back that begins again
 JUMP = 0.5  # step to or from a far value, relative to its distance from the others, from which it is a jump
 GAPLESS = 1.5  # values whose distances grow by at most this factor go on from each other
@@ -157,7 +159,7 @@ class ChannelReader:
     def _without_far(
         self, channel: ChannelColumn, row: np.ndarray, value: np.ndarray, unit: str
     ) -> np.ndarray:
-        far = far_values(value)
+        far = far_values(value, FAR_COMMAND if channel.kind == "command" else FAR)
         if not far.any():
             return value
         worst = value[far][np.argmax(np.abs(value[far]))]
@@ -260,13 +262,13 @@ def counting_column(log: LogFile, topic: str, resets: np.ndarray) -> str | None:
     return None
 
 
-def far_values(value: np.ndarray) -> np.ndarray:
-    """(n,) True for values that are more than `FAR` ranges away from all others, and reached by a jump (glitches)."""
+def far_values(value: np.ndarray, ranges: float = FAR) -> np.ndarray:
+    """(n,) True for values that are more than some ranges away from all others, and reached by a jump (glitches)."""
     finite = value[np.isfinite(value)]
     if len(finite) < 20:
         return np.zeros(len(value), dtype=bool)
     low, high = np.quantile(finite, [0.02, 0.98])
-    reach = FAR * (high - low)
+    reach = ranges * (high - low)
     if reach == 0 or not np.isfinite(reach):
         return np.abs(np.nan_to_num(value, nan=0.0)) > 1e6 * max(abs(float(high)), 1.0)
     with np.errstate(invalid="ignore"):

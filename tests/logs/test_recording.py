@@ -352,3 +352,15 @@ def test_one_of_several_commands_may_be_constant(tmp_path):
     frame.assign(command=0.5).to_csv(tmp_path / "b.csv", index=False)
     with pytest.raises(LogError, match=r'command "torque" is constant'):
         read_log(tmp_path / "b.csv", content)
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "read"), [("command", 30.0, True), ("command", 3000.0, False), ("theta", 30.0, False)]
+)
+def test_a_command_may_answer_a_new_goal_with_many_times_what_it_usually_is(tmp_path, name, size, read):
+    path = save(tmp_path, frame_with(name, [40], size))
+    if read:
+        assert read_log(path, channels=CHANNELS).channels["torque"].value.max() == size
+        return
+    with pytest.raises(LogError, match=f'column "{name}": 1 sample far from all others'):
+        read_log(path, channels=CHANNELS)
