@@ -11,6 +11,7 @@ from deepkoco.systems.motion import Motion
 
 SAMPLES = 64
 SLIDES = 0.5  # coordinates of a sliding joint are sampled within this distance of zero [m]
+BEHIND = {"rad": 0.2, "m": 0.02}  # distance from its goal at which a servo works hard [rad or m]
 UNMOVED = 10.0  # where nothing acts at rest: the load for this acceleration [rad/s2 or m/s2]
 
 
@@ -19,6 +20,8 @@ def typical_loads(system: Any) -> tuple[float, ...]:
 
     The loads are M a with the accelerations a at rest and the inertia matrix M, whose inverse is the answer of
     the accelerations to unit loads. For a pendulum this is its weight when horizontal, or what its motor delivers.
+    A servo never stands as far from its goal as the range of goals is wide: a turntable that may turn for sixteen
+    turns would have a typical load of a thousand times its friction. Goals are taken near the positions.
 
     Args:
         system: A system; joints that take no loads get the largest of the others.
@@ -35,9 +38,15 @@ def typical_loads(system: Any) -> tuple[float, ...]:
     spans = [math.pi if unit == "rad" else SLIDES for unit in system.state_units[:joints]]
     angles = tuple((2.0 * draws[j] - 1.0) * spans[j] for j in range(joints))
     corners = draws[joints:].round()  # both limits, not what lies between
-    commands = torch.stack(
-        [c.low + (c.high - c.low) * u for c, u in zip(system.commands, corners, strict=True)], -1
-    )
+    driven = dict(enumerate(system.command_joints))
+    values = []
+    for k, (c, u) in enumerate(zip(system.commands, corners, strict=True)):
+        joint = driven.get(k)
+        if joint is not None and joint < joints and c.unit == system.state_units[joint]:
+            values.append(angles[joint] + BEHIND[c.unit] * (2.0 * u - 1.0))
+        else:
+            values.append(c.low + (c.high - c.low) * u)
+    commands = torch.stack(values, -1)
     p = system.default_parameters()
     effort = system.actuate(system.effort_of(commands), p)
     efforts = (effort,) if len(system.commands) == 1 else effort.unbind(-1)

@@ -106,6 +106,20 @@ def test_typical_loads_are_the_weight_of_a_pole_and_the_stall_torque_of_a_motor(
     assert motor.load_scales == pytest.approx((0.05 / 2.0 * 12.0,))
 
 
+@pytest.mark.parametrize("turns", [1.0, 16.0])
+def test_the_typical_load_of_a_servo_is_that_near_its_goal_however_far_it_may_go(turns):
+    class Turntable(System):
+        parameters = (Parameter("kp", 12.0, "N m/rad", 0.5, 100.0, 1.0, "servo"),)
+        joint_units = ("rad",)
+        commands = (Channel("goal", "rad", "command", -6.3 * turns, 6.3 * turns),)
+        measurements = (Channel("angle", "rad", "measurement", noise_sd=1e-3, angle=True),)
+
+        def accelerations(self, p):
+            return lambda s: ((p["kp"] * (s.efforts[0] - s.angles[0]) - s.speeds[0] + s.load(0)) / 0.03,)
+
+    assert Turntable().load_scales == pytest.approx((12.0 * 0.2,))
+
+
 @pytest.mark.parametrize(
     ("text", "unit"),
     [
