@@ -14,17 +14,21 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import yaml
+
 from experiments.studies.diagnosis.new_users.cases import CASES, SYSTEM, Case
 from experiments.studies.diagnosis.new_users.logs import write_case
+from experiments.studies.diagnosis.new_users.workshop import ROBOT_OF, WORKSHOP, write_workshop_case
 from experiments.studies.diagnosis.rows import children_seconds, read_rows, write_rows
 
 ROBOTS = Path(__file__).parent / "robots"
 COLUMNS = ("case", "right", "verdict", "causes", "class", "value", "truth", "moved", "cpu_s", "note")
 LIMIT = 1800.0  # seconds after which a case is given up
+ALL = CASES | WORKSHOP
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -33,7 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--out", type=Path, required=True, help="folder of the results")
-    parser.add_argument("--cases", nargs="+", choices=list(CASES), default=list(CASES), metavar="CASE")
+    parser.add_argument("--cases", nargs="+", choices=list(ALL), default=list(ALL), metavar="CASE")
     parser.add_argument("--seed", type=int, default=0, help="of units, commands and noise (default 0)")
     args = parser.parse_args(arguments)
     args.out.mkdir(parents=True, exist_ok=True)
@@ -44,7 +48,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             continue
         folder = args.out / "logs" / name
         folder.mkdir(parents=True, exist_ok=True)
-        rows.append(run_case(name, write_case(name, folder, args.seed), args.out / "reports" / name))
+        write = write_workshop_case if name in WORKSHOP else write_case
+        rows.append(run_case(name, write(name, folder, args.seed), args.out / "reports" / name))
         write_rows(table, COLUMNS, rows)
         sys.stdout.write(" ".join(f"{key}={rows[-1][key]}" for key in COLUMNS) + "\n")
         sys.stdout.flush()
@@ -61,16 +66,20 @@ def run_case(name: str, log: Path, report: Path) -> dict[str, Any]:
         log: Its log; healthy logs lie beside it.
         report: Folder that the report goes to.
     """
-    case, began = CASES[name], children_seconds()
-    robot, _, kind = (case.system or SYSTEM[case.robot]).partition(":")
+    case, began = ALL[name], children_seconds()
+    described = ROBOT_OF[name].system if name in WORKSHOP else case.system or SYSTEM[case.robot]
+    robot, _, kind = described.partition(":")
     system = f"{ROBOTS / robot}{':' if kind else ''}{kind}"
     # One sidecar for all logs of the folder.
     sidecar = log.parent.with_suffix(".yaml")
     sidecar.unlink(missing_ok=True)
-    said = _called("inspect", log.parent, "--system", system, "--out", sidecar)
-    healthy = sorted(log.parent.glob("healthy*.csv"))
+    # A log may be a folder of two files; it is inspected alone.
+    said = _called("inspect", log if log.is_dir() else log.parent, "--system", system, "--out", sidecar)
+    if name in WORKSHOP and sidecar.is_file():
+        _correct(sidecar, ROBOT_OF[name].corrected)
+    healthy = sorted(log.parent.glob("healthy*"))
     report.parent.mkdir(exist_ok=True)
-    command = [log, "--system", system, *(["--healthy", *healthy] if healthy else [])]
+    command = [log, "--system", system, "--map", sidecar, *(["--healthy", *healthy] if healthy else [])]
     done = _called("diagnose", *command, "--out", report, "--json")
     answer = json.loads(done.stdout) if done.returncode in (0, 3) else None
     note = "" if answer is not None else (done.stderr or said.stderr).strip()[-200:]
@@ -78,20 +87,30 @@ def run_case(name: str, log: Path, report: Path) -> dict[str, Any]:
     return row | judged(case, answer) | {"cpu_s": round(children_seconds() - began, 1)}
 
 
+def _correct(sidecar: Path, corrected: Mapping[str, Mapping[str, float]]) -> None:
+    """Change keys of channels in a sidecar."""
+    content = yaml.safe_load(sidecar.read_text(encoding="utf-8"))
+    for channel, keys in corrected.items():
+        content["channels"][channel].update(keys)
+    sidecar.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+
+
 def judged(case: Case, answer: dict[str, Any] | None) -> dict[str, Any]:
     """Compare an answer (report.json; None where there is none) with what is hidden.
 
-    It is right if the class of the first cause has the effect, and no further cause is named.
+    It is right if the class of the first cause has the effect, and no further cause is named. "unknown" is right for an
+    effect that the catalogue lacks.
     """
     verdict = "none" if answer is None else answer["verdict"]
     causes = [] if answer is None or verdict == "unknown" else answer["causes"]
     members = causes[0]["class"] if causes else []
     hits = any(m in case.right or m.split("(")[0] in case.right for m in members)
     nothing = verdict == "nothing" and (not case.right or "nothing" in case.right)
+    unknown = verdict == "unknown" and "unknown" in case.right
     value = next(iter(causes[0]["parameters"].values()), None) if causes else None
     moved = [] if answer is None else answer.get("fit", {}).get("moved", [])
     return {
-        "right": int(nothing or (hits and len(causes) == 1)),
+        "right": int(nothing or unknown or (hits and len(causes) == 1)),
         "verdict": verdict,
         "causes": ";".join(c["name"] for c in causes),
         "class": ";".join(members),
