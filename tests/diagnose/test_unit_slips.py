@@ -8,7 +8,7 @@ import pytest
 from deepkoco.diagnose import diagnose
 from deepkoco.diagnose.baseline import baseline_from, refit_sharply
 from deepkoco.diagnose.causes import catalogue
-from deepkoco.diagnose.evidence.slips import LARGE, SLIPS, slipped
+from deepkoco.diagnose.evidence.slips import LARGE, SLIPS, slipped, states_read_by
 from deepkoco.diagnose.evidence.start_values import Hints
 from deepkoco.diagnose.residuals.residuals import missing_torque
 from deepkoco.fit import FitProblem, cut_windows, window_length
@@ -35,6 +35,14 @@ def test_unit_slip_that_the_refit_absorbs_is_named(excitation, seed):
     assert result.verdict == "cause"
     assert result.causes[0].name == "unit_slip"
     assert result.causes[0].parameters["unit_slip.factor"].value == pytest.approx(180.0 / math.pi)
+
+
+@pytest.mark.parametrize(
+    ("shows", "channel", "read"),
+    [((0, 1), 1, [1, 3]), ((0, 1, 3), 1, [1]), ((0, 1, 3), 2, [3]), ((0, 2), 0, [0])],
+)
+def test_a_unit_is_wrong_of_the_speed_too_that_a_position_alone_shows(shows, channel, read):
+    assert states_read_by(shows, channel, joints=2) == read
 
 
 def test_few_windows_choose_the_right_one_of_many_constants():

@@ -23,6 +23,21 @@ HOPELESS = (
 )
 
 
+def states_read_by(shows: Sequence[int], channel: int, joints: int) -> list[int]:
+    """Return the states whose first values come from a channel, and are as wrong as its unit is.
+
+    The speed of a joint that no channel shows is read from its position: a position of the other direction has speeds
+    of the other direction.
+
+    Args:
+        shows: State that each channel shows; positions come before speeds.
+        channel: Number of the channel.
+        joints: Number of joints.
+    """
+    state = shows[channel]
+    return [state, state + joints] if state < joints and state + joints not in shows else [state]
+
+
 def slipped(
     problem: FitProblem,
     start: Baseline,
@@ -48,7 +63,8 @@ def slipped(
     states = problem.windows.state.repeat(len(slips), 1, 1)
     for k, (cause, place) in enumerate(slips):
         if cause.kind == "channel_slip":
-            states[k, :, problem.windows.shows[cause.index]] /= next(iter(place.values()))
+            read = states_read_by(problem.windows.shows, cause.index, start.system.joints)
+            states[k][:, read] /= next(iter(place.values()))
     if np.isfinite(most):
         theta = np.array([[float(v[n]) for n in problem.names] for v in values])
         # A wrong unit shows everywhere.
