@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from deepkoco.systems.trees.mujoco_library import mujoco_library
 from experiments.studies.diagnosis.new_users.cases import Case
 from experiments.studies.diagnosis.new_users.workshop.bench import DEG, Robot, Values, read, write_columns
 
@@ -26,8 +27,7 @@ MODEL = """
 
 def write(path: Path, p: Values, rng: Any) -> None:
     """Write what a controller of the angles at 100 Hz sent, and what its encoders showed."""
-    import mujoco
-
+    mujoco = mujoco_library()
     own = {"dry1": 0.0, "dry2": 0.0, "dry3": 0.0, "rotor1": 0.0, "rotor2": 0.0} | dict(p)
     own["m3"] += own.get("payload", 0.0)
     model = mujoco.MjModel.from_xml_string(MODEL.format(step=1.0 / RATE / INNER, **own))
