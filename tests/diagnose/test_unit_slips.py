@@ -38,11 +38,16 @@ def test_unit_slip_that_the_refit_absorbs_is_named(excitation, seed):
 
 
 @pytest.mark.parametrize(
-    ("shows", "channel", "read"),
-    [((0, 1), 1, [1, 3]), ((0, 1, 3), 1, [1]), ((0, 1, 3), 2, [3]), ((0, 2), 0, [0])],
+    ("shows", "logged", "channel", "read"),
+    [
+        ((0, 1), (True, True), 1, [1, 3]),
+        ((0, 1, 3), (True, True, True), 1, [1]),
+        ((0, 1, 3), (True, True, True), 2, [3]),
+        ((0, 1, 2, 3), (True, True, True, False), 1, [1, 3]),  # declared, and not in the log
+    ],
 )
-def test_a_unit_is_wrong_of_the_speed_too_that_a_position_alone_shows(shows, channel, read):
-    assert states_read_by(shows, channel, joints=2) == read
+def test_a_unit_is_wrong_of_the_speed_too_that_a_position_alone_shows(shows, logged, channel, read):
+    assert states_read_by(shows, logged, channel, joints=2) == read
 
 
 def test_few_windows_choose_the_right_one_of_many_constants():

@@ -23,19 +23,21 @@ HOPELESS = (
 )
 
 
-def states_read_by(shows: Sequence[int], channel: int, joints: int) -> list[int]:
+def states_read_by(shows: Sequence[int], logged: Sequence[bool], channel: int, joints: int) -> list[int]:
     """Return the states whose first values come from a channel, and are as wrong as its unit is.
 
-    The speed of a joint that no channel shows is read from its position: a position of the other direction has speeds
+    The speed of a joint that no channel of the log shows is read from its position: a position of the other direction has speeds
     of the other direction.
 
     Args:
         shows: State that each channel shows; positions come before speeds.
+        logged: Whether the log has each channel.
         channel: Number of the channel.
         joints: Number of joints.
     """
     state = shows[channel]
-    return [state, state + joints] if state < joints and state + joints not in shows else [state]
+    measured = {k for k, there in zip(shows, logged, strict=True) if there}
+    return [state, state + joints] if state < joints and state + joints not in measured else [state]
 
 
 def slipped(
@@ -63,7 +65,9 @@ def slipped(
     states = problem.windows.state.repeat(len(slips), 1, 1)
     for k, (cause, place) in enumerate(slips):
         if cause.kind == "channel_slip":
-            read = states_read_by(problem.windows.shows, cause.index, start.system.joints)
+            # A model file declares speeds of all joints, and a log may have none of them.
+            logged = problem.windows.valid.any(-1).any(0).tolist()
+            read = states_read_by(problem.windows.shows, logged, cause.index, start.system.joints)
             states[k][:, read] /= next(iter(place.values()))
     if np.isfinite(most):
         theta = np.array([[float(v[n]) for n in problem.names] for v in values])
