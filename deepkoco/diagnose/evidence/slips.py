@@ -26,8 +26,8 @@ HOPELESS = (
 def states_read_by(shows: Sequence[int], logged: Sequence[bool], channel: int, joints: int) -> list[int]:
     """Return the states whose first values come from a channel, and are as wrong as its unit is.
 
-    The speed of a joint that no channel of the log shows is read from its position: a position of the other direction has speeds
-    of the other direction.
+    The speed of a joint that no channel of the log shows is read from its position: a position of the other direction
+    has speeds of the other direction.
 
     Args:
         shows: State that each channel shows; positions come before speeds.

@@ -53,7 +53,7 @@ ROBOT = Robot(
         "turntable_wrap": Case("turntable", {"goals_wrap": 1.0}),
         "turntable_plate": Case("turntable", {"extra": 0.03}, ("changed(inertia)",), 0.06),
         "turntable_bearing": Case(
-            "turntable", {"friction": 0.3}, ("coulomb", "changed(friction)", "stribeck"), 0.3
+            "turntable", {"friction": 0.3}, ("coulomb", "changed(friction)", "stribeck"), 0.22
         ),
         "turntable_delay_h1": Case(
             "turntable", {"delay": 0.02}, ("actuation_delay",), 0.02, healthy=1, spread=0.01
