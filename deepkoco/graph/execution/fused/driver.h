@@ -76,9 +76,9 @@ INLINE void times_of(const Model &m, const EdgeInfo &e, i64 row, i32 message, do
   if (e.flags & 4) received = seconds(m.t_received[row * m.message_columns + e.message_base + message], m);
 }
 
-// Collect what node `n` sees at its step `seq`, the same in all lanes.
-static void look_together(const Block &b, const NodeInfo &n, i32 seq, View &v) {
-  const Model &m = b.m;
+// Collect what node `n` sees at its step `seq`, the same in all lanes; return the number of messages.
+static int look_together(const Block &b, const NodeInfo &n, i32 seq, View &v) {
+  const Model &m = *b.m;
   const i64 row = b.row[0];
   int j = 0;
   if (n.flags & 1) v.times[0] = splat<VD>(seconds(m.t_start[row * m.step_columns + n.step_base + seq], m));
@@ -95,12 +95,16 @@ static void look_together(const Block &b, const NodeInfo &n, i32 seq, View &v) {
       v.times[1 + PLACES + j] = splat<VD>(received);
     }
   }
+  return j;
 }
 
 // Collect what node `n` sees at the steps `seq` of the lanes.
 static void look(const Block &b, const NodeInfo &n, const i32 *seq, View &v) {
-  if (b.uniform) return look_together(b, n, seq[0], v);
-  const Model &m = b.m;
+  if (b.uniform) {
+    look_together(b, n, seq[0], v);
+    return;
+  }
+  const Model &m = *b.m;
   char *stage = v.stage;
   int j = 0;
   if (n.flags & 1)
@@ -135,24 +139,29 @@ static void look(const Block &b, const NodeInfo &n, const i32 *seq, View &v) {
   }
 }
 
-// All lanes run step `seq` of a node: nothing is masked or copied.
-static void run_together(Block &b, int index, i32 seq, const char *H, View &v) {
-  const NodeInfo &n = b.m.node[index];
-  char *state = b.moving + n.state;
-  char *output = b.moving + n.ring + (seq & n.ring_mask) * n.count * n.size * W;
-  look_together(b, n, seq, v);
-  if (!(n.flags & 2)) {
-    BODIES[index](b.fixed, H, state, v.data, v.seq, v.times, nullptr, state, output, b.m.constants);
-    return;
+// All lanes of some blocks run step `seq` of a node: nothing is masked or copied, and one search does for all blocks.
+static void run_together(Block *blocks, i64 count, int index, i32 seq, const char *H, View &v) {
+  const Model &m = *blocks->m;
+  const NodeInfo &n = m.node[index];
+  const i64 output = n.ring + (seq & n.ring_mask) * n.count * n.size * W;
+  const int places = look_together(*blocks, n, seq, v);
+  for (Block *b = blocks; b < blocks + count; b++, H += HOISTED * W) {
+    const char *X[PLACES];
+    for (int j = 0; j < places; j++) X[j] = v.data[j] + (b->moving - blocks->moving);
+    char *state = b->moving + n.state;
+    if (!(n.flags & 2)) {
+      BODIES[index](b->fixed, H, state, X, v.seq, v.times, nullptr, state, b->moving + output, m.constants);
+      continue;
+    }
+    char new_state[STATE * W];
+    BODIES[index](b->fixed, H, state, X, v.seq, v.times, nullptr, new_state, b->moving + output, m.constants);
+    memcpy(state, new_state, (8 * n.n8 + 4 * n.n4 + n.n1) * W);
   }
-  char new_state[STATE * W];
-  BODIES[index](b.fixed, H, state, v.data, v.seq, v.times, nullptr, new_state, output, b.m.constants);
-  memcpy(state, new_state, (8 * n.n8 + 4 * n.n4 + n.n1) * W);
 }
 
 // Some lanes run steps `seq` of a node, the others (-1) keep what they had.
 static void run_masked(Block &b, int index, const i32 *seq, const char *H, View &v) {
-  const NodeInfo &n = b.m.node[index];
+  const NodeInfo &n = b.m->node[index];
   const i64 bytes = n.count * n.size * W, state_bytes = (8 * n.n8 + 4 * n.n4 + n.n1) * W;
   char *state = b.moving + n.state, *ring = b.moving + n.ring;
   char new_state[STATE * W], output[OUTPUT * W];
@@ -170,7 +179,7 @@ static void run_masked(Block &b, int index, const i32 *seq, const char *H, View 
   const bool in_place = all && !(n.flags & 2);
   char *to_state = in_place ? state : new_state;
   char *to_output = all && same ? ring + (seq[0] & n.ring_mask) * bytes : output;
-  BODIES[index](b.fixed, H, state, v.data, v.seq, v.times, nullptr, to_state, to_output, b.m.constants);
+  BODIES[index](b.fixed, H, state, v.data, v.seq, v.times, nullptr, to_state, to_output, b.m->constants);
   if (!in_place && all) memcpy(state, new_state, state_bytes);
   else if (!all) {
     blend_sized(state, new_state, n.n8, 8, runs);
@@ -181,37 +190,52 @@ static void run_masked(Block &b, int index, const i32 *seq, const char *H, View 
 }
 
 // Everything before the supervisor step at which each lane is, then what the supervisor reads there.
-static void run_slots(Block &b, const char *H, const char *action, View &v, bool observes) {
-  const Model &m = b.m;
+static void run_slots(Block *blocks, i64 count, bool together, const char *H, const char *const *action, View &v,
+                      bool observes) {
+  const Model &m = *blocks->m;
   for (i64 s = 0; s < m.slots; s++) {
-    if (b.uniform) {
-      const i32 seq = seq_at(m, b.row[0], b.step[0], s);
-      if (seq >= 0) run_together(b, m.slot[s], seq, H, v);
+    if (together) {
+      const i32 seq = seq_at(m, blocks->row[0], blocks->step[0], s);
+      if (seq >= 0) run_together(blocks, count, m.slot[s], seq, H, v);
       continue;
     }
-    i32 seq[W];
-    bool some = false;
-    for (int l = 0; l < W; l++) {
-      seq[l] = seq_at(m, b.row[l], b.step[l], s);
-      some |= seq[l] >= 0;
+    for (i64 k = 0; k < count; k++) {
+      Block &b = blocks[k];
+      const char *own = H + k * HOISTED * W;
+      i32 seq[W];
+      bool some = false;
+      for (int l = 0; l < (b.uniform ? 1 : W); l++) {
+        seq[l] = seq_at(m, b.row[l], b.step[l], s);
+        some |= seq[l] >= 0;
+      }
+      if (some && b.uniform) run_together(&b, 1, m.slot[s], seq[0], own, v);
+      else if (some) run_masked(b, m.slot[s], seq, own, v);
     }
-    if (some) run_masked(b, m.slot[s], seq, H, v);
   }
   if (!OBSERVES || !observes) return;
   const NodeInfo &n = m.node[m.supervisor];
-  look(b, n, b.step, v);
-  char new_state[STATE * W];
-  char *state = b.moving + n.state;
-  char *to = n.flags & 2 ? new_state : state;
-  BODIES[m.supervisor](b.fixed, H, state, v.data, v.seq, v.times, action, to, b.moving + m.readings, m.constants);
-  if (to != state) memcpy(state, new_state, (8 * n.n8 + 4 * n.n4 + n.n1) * W);
+  for (i64 k = 0; k < count; k++) {
+    const Block &b = blocks[k];
+    look(b, n, b.step, v);
+    char new_state[STATE * W];
+    char *state = b.moving + n.state;
+    char *to = n.flags & 2 ? new_state : state;
+    BODIES[m.supervisor](b.fixed, H + k * HOISTED * W, state, v.data, v.seq, v.times, action[k], to,
+                         b.moving + m.readings, m.constants);
+    if (to != state) memcpy(state, new_state, (8 * n.n8 + 4 * n.n4 + n.n1) * W);
+  }
 }
 
 static Block open_block(const Model &m, const char *fixed, char *moving) {
-  Block b{m, fixed, moving, {}, {}, true};
+  Block b{&m, fixed, moving, {}, {}, {}, true, true};
+  memcpy(b.environment, fixed, sizeof b.environment);
   memcpy(b.row, fixed + 4 * W, sizeof b.row);
   memcpy(b.step, moving, sizeof b.step);
-  for (int l = 1; l < W; l++) b.uniform &= b.row[l] == b.row[0] && b.step[l] == b.step[0];
+  for (int l = 1; l < W; l++) {
+    b.level &= b.step[l] == b.step[0];
+    b.uniform &= b.row[l] == b.row[0];
+  }
+  b.uniform &= b.level;
   return b;
 }
 static void gather(const i32 *environment, const char *from, i64 stride, i64 count, i64 size, char *to) {
@@ -247,42 +271,72 @@ static i64 short_of_steps(const Model &m, const char *fixed, const char *moving,
   return found;
 }
 
-extern "C" i64 rollout(const Model *model, const char *fixed, const char *from, char *to, const Rollout *call) {
-  const Model &m = *model;
-  const Rollout &r = *call;
-  const i64 spent = short_of_steps(m, fixed, from, r.first, r.last, r.steps);
-  if (spent >= 0) return spent;
+// Take blocks through all steps of a call, step by step: while one waits for its last result, the processor works on
+// the next. `together`: all are at the same step of the same schedule.
+static void run_blocks(Block *blocks, i64 count, bool together, const Rollout &r) {
+  const Model &m = *blocks->m;
   const NodeInfo &n = m.node[m.supervisor];
   const i64 bytes = n.count * n.size;
   // Readings that nobody sees and that leave nothing behind are worked out at the last step only.
   const bool seen = r.policy || r.outputs || n.n8 || n.n4 || n.n1;
   View v;
-  char H[HOISTED * W];
-  char action[ACTION * W];
-  for (i64 block = r.first; block < r.last; block++) {
-    const char *own = fixed + block * m.fixed_bytes;
-    char *moving = to + block * m.moving_bytes;
-    if (to != from) memcpy(moving, from + block * m.moving_bytes, m.moving_bytes);
-    i32 environment[W];
-    memcpy(environment, own, sizeof environment);
-    Block b = open_block(m, own, moving);
-    prologue(own, H);
-    for (i64 t = 0; t < r.steps; t++) {
+  char H[GROUP * HOISTED * W], buffer[GROUP * ACTION * W];
+  const char *action[GROUP];
+  for (i64 k = 0; k < count; k++) prologue(blocks[k].fixed, H + k * HOISTED * W);
+  for (i64 t = 0; t < r.steps; t++) {
+    for (i64 k = 0; k < count; k++) {
+      Block &b = blocks[k];
+      char *own = buffer + k * ACTION * W;
       if (r.policy) {
         if (r.looks) look(b, n, b.step, v);
-        r.policy(r.weights, moving + m.readings, v.data, v.seq, v.times, action);
-      } else
-        gather(environment, r.actions + t * r.action_time, r.action_environment, n.count, n.size, action);
-      if (r.out_actions) scatter(environment, action, n.count, n.size, r.out_actions + t * m.batch * bytes);
-      write(b, n, b.step, action);
+        r.policy(r.weights, b.moving + m.readings, v.data, v.seq, v.times, own);
+      } else if (k && !r.action_environment)
+        memcpy(own, buffer, bytes * W); // one action for all
+      else
+        gather(b.environment, r.actions + t * r.action_time, r.action_environment, n.count, n.size, own);
+      if (r.out_actions) scatter(b.environment, own, n.count, n.size, r.out_actions + t * m.batch * bytes);
+      write(b, n, b.step, own);
       for (int l = 0; l < W; l++) b.step[l]++;
-      run_slots(b, H, action, v, seen || t == r.steps - 1);
-      for (i64 k = 0; k < r.outputs; k++)
-        scatter(environment, moving + m.readings + r.reading_offset[k] * W, r.reading_count[k], r.reading_size[k],
-                r.out_readings[k] + t * m.batch * r.reading_count[k] * r.reading_size[k]);
+      action[k] = own;
     }
-    memcpy(moving, b.step, sizeof b.step);
+    run_slots(blocks, count, together, H, action, v, seen || t == r.steps - 1);
+    for (i64 k = 0; k < count; k++)
+      for (i64 o = 0; o < r.outputs; o++)
+        scatter(blocks[k].environment, blocks[k].moving + m.readings + r.reading_offset[o] * W, r.reading_count[o],
+                r.reading_size[o], r.out_readings[o] + t * m.batch * r.reading_count[o] * r.reading_size[o]);
   }
+  for (i64 k = 0; k < count; k++) memcpy(blocks[k].moving, blocks[k].step, sizeof blocks[k].step);
+}
+
+extern "C" i64 rollout(const Model *model, const char *fixed, const char *from, char *to, const Rollout *call) {
+  const Model &m = *model;
+  const Rollout &r = *call;
+  const i64 spent = short_of_steps(m, fixed, from, r.first, r.last, r.steps);
+  if (spent >= 0) return spent;
+  Block same[GROUP], rest[GROUP]; // waiting: at the same step of the same schedule, and others
+  i64 alike = 0, others = 0;
+  const auto put_aside = [&](const Block &b) {
+    rest[others++] = b;
+    if (others == GROUP) run_blocks(rest, others, false, r), others = 0;
+  };
+  const auto run_alike = [&] {
+    if (alike == 1) put_aside(same[0]);
+    else if (alike) run_blocks(same, alike, true, r);
+    alike = 0;
+  };
+  for (i64 block = r.first; block < r.last; block++) {
+    char *moving = to + block * m.moving_bytes;
+    if (to != from) memcpy(moving, from + block * m.moving_bytes, m.moving_bytes);
+    const Block b = open_block(m, fixed + block * m.fixed_bytes, moving);
+    if (!b.uniform) {
+      put_aside(b);
+      continue;
+    }
+    if (alike && (b.row[0] != same[0].row[0] || b.step[0] != same[0].step[0] || alike == GROUP)) run_alike();
+    same[alike++] = b;
+  }
+  run_alike();
+  if (others) run_blocks(rest, others, false, r);
   return -1;
 }
 
@@ -305,6 +359,7 @@ extern "C" void start(const Model *model, const char *fixed, char *moving) {
     const char *own = fixed + block * m.fixed_bytes;
     Block b = open_block(m, own, moving + block * m.moving_bytes);
     prologue(own, H);
-    run_slots(b, H, b.moving + m.node[m.supervisor].ring, v, true);
+    const char *action = b.moving + m.node[m.supervisor].ring;
+    run_slots(&b, 1, b.uniform, H, &action, v, true);
   }
 }

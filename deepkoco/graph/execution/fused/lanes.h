@@ -134,6 +134,13 @@ INLINE bool any(VB a) {
   return r != 0;
 #endif
 }
+// Whether a number of any lane is not below a limit.
+template <class V> INLINE bool any_from(V a, V limit) { return any(~lt(a, limit)); }
+#if W == 16 && defined(__AVX512F__) && defined(__GNUC__) && !defined(__clang__)
+INLINE bool any_from(VF a, VF limit) { return __builtin_ia32_cmpps512_mask(a, limit, 5, -1, 4); }
+#elif W == 8 && defined(__AVX512F__) && defined(__GNUC__) && !defined(__clang__)
+INLINE bool any_from(VD a, VD limit) { return __builtin_ia32_cmppd512_mask(a, limit, 5, -1, 4); }
+#endif
 
 template <class V> struct Lane { typedef typename Of<V>::T T; };
 template <> struct Lane<VB> { typedef i32 T; };

@@ -50,9 +50,10 @@ struct Rollout {
 };
 
 struct Block {
-  const Model &m;
+  const Model *m;
   const char *fixed;
   char *moving;
-  i32 row[W], step[W];
-  bool uniform; // all lanes are at the same step of the same schedule
+  i32 environment[W], row[W], step[W];
+  bool level;   // all lanes are at the same step
+  bool uniform; // and have the same schedule
 };

@@ -29,6 +29,13 @@ _ARGUMENTS = (
 )
 
 
+MOST_IN_FLIGHT = 8
+"""Blocks that a rollout works on in turns, if they are small."""
+
+CACHE = 1 << 15
+"""Bytes that these blocks may take together, the size of a first-level cache."""
+
+
 @dataclass(frozen=True)
 class KernelSource:
     """A graph's kernel and where its numbers lie.
@@ -128,6 +135,8 @@ def kernel_source(
         "HOISTED": max(8, bodies.hoisted.size),
         "OBSERVES": int(supervisor.trace is not None),
     }
+    defines["GROUP"] = _in_flight(lanes * (fixed_size + end + reading_size + defines["HOISTED"]))
+    bodies.buffers |= {name: defines["GROUP"] for name in ("ACTION", "HOISTED")}
     defines |= bodies.defines
     check_stack(lanes * (bodies.deepest + sum(n * defines[name] for name, n in bodies.buffers.items())))
     text = "\n".join(
@@ -246,6 +255,11 @@ class Hoisted:
         start = self.size
         self.size += 8
         return start
+
+
+def _in_flight(size: int) -> int:
+    """How many blocks of a size [bytes] are worked on in turns: a few hide the latency of each, and all stay in the cache."""
+    return max(1, min(MOST_IN_FLIGHT, CACHE // size))
 
 
 def _bytes(kind: Spec) -> int:
