@@ -3,6 +3,9 @@
 // A block holds W environments. Its fixed record (environments, schedule rows, parameters, states that never
 // change) is read, its moving record (step, states, readings, last outputs) is written.
 
+// Not inlined, so that the buffers of only one of them are on the stack at a time.
+#define APART static __attribute__((noinline))
+
 INLINE i32 seq_at(const Model &m, i64 row, i64 step, i64 slot) {
   const i64 at = (row * (m.steps + 1) + step) * m.slots + slot;
   return m.small_table ? ((const int16_t *)m.table)[at] : ((const i32 *)m.table)[at];
@@ -139,54 +142,119 @@ static void look(const Block &b, const NodeInfo &n, const i32 *seq, View &v) {
   }
 }
 
+// Run a step of a node in the blocks that wait for it.
+static void run_bodies(int index, Call &c, i64 count, const char *K) {
+  if (count > 1 && SIDE > 1 && MIXED[index]) {
+    for (i64 k = count; k < SIDE; k++) c.repeat(k); // the same again changes nothing
+    MIXED[index](c, K);
+    return;
+  }
+  for (i64 k = 0; k < count; k++)
+    BODIES[index](c.P[k], c.H[k], c.S[k], c.X[k], c.Q[k], c.T[k], nullptr, c.S2[k], c.Y[k], K);
+}
+
 // All lanes of some blocks run step `seq` of a node: nothing is masked or copied, and one search does for all blocks.
-static void run_together(Block *blocks, i64 count, int index, i32 seq, const char *H, View &v) {
+APART void run_together(Block *blocks, i64 count, int index, i32 seq, const char *H, View &v) {
   const Model &m = *blocks->m;
   const NodeInfo &n = m.node[index];
-  const i64 output = n.ring + (seq & n.ring_mask) * n.count * n.size * W;
+  const i64 output = n.ring + (seq & n.ring_mask) * n.count * n.size * W, bytes = (8 * n.n8 + 4 * n.n4 + n.n1) * W;
   const int places = look_together(*blocks, n, seq, v);
-  for (Block *b = blocks; b < blocks + count; b++, H += HOISTED * W) {
-    const char *X[PLACES];
-    for (int j = 0; j < places; j++) X[j] = v.data[j] + (b->moving - blocks->moving);
-    char *state = b->moving + n.state;
-    if (!(n.flags & 2)) {
-      BODIES[index](b->fixed, H, state, X, v.seq, v.times, nullptr, state, b->moving + output, m.constants);
-      continue;
+  Call c;
+  const char *X[SIDE][PLACES];
+  char staged[SIDE][STATE * W];
+  for (i64 first = 0; first < count; first += SIDE) {
+    const i64 some = count - first < SIDE ? count - first : SIDE;
+    for (i64 k = 0; k < some; k++) {
+      const Block &b = blocks[first + k];
+      for (int j = 0; j < places; j++) X[k][j] = v.data[j] + (b.moving - blocks->moving);
+      char *state = b.moving + n.state;
+      c.set(k, b.fixed, H + (first + k) * HOISTED * W, state, X[k], v, n.flags & 2 ? staged[k] : state,
+            b.moving + output);
     }
-    char new_state[STATE * W];
-    BODIES[index](b->fixed, H, state, X, v.seq, v.times, nullptr, new_state, b->moving + output, m.constants);
-    memcpy(state, new_state, (8 * n.n8 + 4 * n.n4 + n.n1) * W);
+    run_bodies(index, c, some, m.constants);
+    for (i64 k = 0; k < some && n.flags & 2; k++) memcpy(blocks[first + k].moving + n.state, staged[k], bytes);
   }
 }
 
-// Some lanes run steps `seq` of a node, the others (-1) keep what they had.
-static void run_masked(Block &b, int index, const i32 *seq, const char *H, View &v) {
-  const NodeInfo &n = b.m->node[index];
-  const i64 bytes = n.count * n.size * W, state_bytes = (8 * n.n8 + 4 * n.n4 + n.n1) * W;
-  char *state = b.moving + n.state, *ring = b.moving + n.ring;
-  char new_state[STATE * W], output[OUTPUT * W];
-  i32 runs[W], place[W];
-  bool all = true, same = true;
-  i32 some = 0;
-  for (int l = 0; l < W; l++) some = seq[l] > some ? seq[l] : some;
-  for (int l = 0; l < W; l++) {
-    runs[l] = -(seq[l] >= 0);
-    all &= seq[l] >= 0;
-    same &= seq[l] == seq[0];
-    place[l] = seq[l] >= 0 ? seq[l] : some; // the others look where these do; it is not used
+// A step of a node in a block whose lanes run different steps, or none (-1): these keep what they had.
+struct Turn {
+  Block *b;
+  i32 seq[W];
+  bool all, in_place; // whether all lanes run; whether the new state is written over the old one at once
+  char *to_output;
+  View v;
+  char state[STATE * W], output[OUTPUT * W];
+
+  void begin(int index, const char *H, Call &c, i64 k) {
+    const NodeInfo &n = b->m->node[index];
+    bool same = true;
+    i32 some = 0, place[W];
+    all = true;
+    for (int l = 0; l < W; l++) some = seq[l] > some ? seq[l] : some;
+    for (int l = 0; l < W; l++) {
+      all &= seq[l] >= 0;
+      same &= seq[l] == seq[0];
+      place[l] = seq[l] >= 0 ? seq[l] : some; // the others look where these do; it is not used
+    }
+    look(*b, n, place, v);
+    in_place = all && !(n.flags & 2);
+    to_output = all && same ? b->moving + n.ring + (seq[0] & n.ring_mask) * n.count * n.size * W : output;
+    c.set(k, b->fixed, H, b->moving + n.state, v.data, v, in_place ? b->moving + n.state : state, to_output);
   }
-  look(b, n, place, v);
-  const bool in_place = all && !(n.flags & 2);
-  char *to_state = in_place ? state : new_state;
-  char *to_output = all && same ? ring + (seq[0] & n.ring_mask) * bytes : output;
-  BODIES[index](b.fixed, H, state, v.data, v.seq, v.times, nullptr, to_state, to_output, b.m->constants);
-  if (!in_place && all) memcpy(state, new_state, state_bytes);
-  else if (!all) {
-    blend_sized(state, new_state, n.n8, 8, runs);
-    blend_sized(state + 8 * n.n8 * W, new_state + 8 * n.n8 * W, n.n4, 4, runs);
-    blend_bytes(state + (8 * n.n8 + 4 * n.n4) * W, new_state + (8 * n.n8 + 4 * n.n4) * W, n.n1, 1, runs);
+  void end(int index) {
+    const NodeInfo &n = b->m->node[index];
+    char *old = b->moving + n.state;
+    const i64 four = 8 * n.n8 * W, one = four + 4 * n.n4 * W;
+    if (!in_place && all) memcpy(old, state, one + n.n1 * W);
+    else if (!all) {
+      i32 runs[W];
+      for (int l = 0; l < W; l++) runs[l] = -(seq[l] >= 0);
+      blend_sized(old, state, n.n8, 8, runs);
+      blend_sized(old + four, state + four, n.n4, 4, runs);
+      if (n.n1) blend_bytes(old + one, state + one, n.n1, 1, runs);
+    }
+    if (to_output == output) write(*b, n, seq, output);
   }
-  if (to_output == output) write(b, n, seq, output);
+};
+
+// A slot of blocks that are at different steps or have different schedules.
+APART void run_apart(Block *blocks, i64 count, i64 slot, const char *H) {
+  const Model &m = *blocks->m;
+  const i32 index = m.slot[slot];
+  Turn turns[SIDE];
+  Call c;
+  i64 waiting = 0;
+  const auto run = [&] {
+    run_bodies(index, c, waiting, m.constants);
+    for (i64 k = 0; k < waiting; k++) turns[k].end(index);
+    waiting = 0;
+  };
+  for (i64 k = 0; k < count; k++) {
+    Block &b = blocks[k];
+    Turn &turn = turns[waiting];
+    bool some = false;
+    for (int l = 0; l < W; l++) {
+      turn.seq[l] = l && b.uniform ? turn.seq[0] : seq_at(m, b.row[l], b.step[l], slot);
+      some |= turn.seq[l] >= 0;
+    }
+    if (!some) continue;
+    turn.b = &b;
+    turn.begin(index, H + k * HOISTED * W, c, waiting++);
+    if (waiting == SIDE) run();
+  }
+  if (waiting) run();
+}
+
+// What the supervisor reads at the step at which each lane is.
+APART void observe(Block &b, const char *H, const char *action, View &v) {
+  const Model &m = *b.m;
+  const NodeInfo &n = m.node[m.supervisor];
+  look(b, n, b.step, v);
+  char new_state[STATE * W];
+  char *state = b.moving + n.state;
+  char *to = n.flags & 2 ? new_state : state;
+  BODIES[m.supervisor](b.fixed, H, state, v.data, v.seq, v.times, action, to, b.moving + m.readings, m.constants);
+  if (to != state) memcpy(state, new_state, (8 * n.n8 + 4 * n.n4 + n.n1) * W);
 }
 
 // Everything before the supervisor step at which each lane is, then what the supervisor reads there.
@@ -194,36 +262,14 @@ static void run_slots(Block *blocks, i64 count, bool together, const char *H, co
                       bool observes) {
   const Model &m = *blocks->m;
   for (i64 s = 0; s < m.slots; s++) {
-    if (together) {
-      const i32 seq = seq_at(m, blocks->row[0], blocks->step[0], s);
-      if (seq >= 0) run_together(blocks, count, m.slot[s], seq, H, v);
+    if (!together) {
+      run_apart(blocks, count, s, H);
       continue;
     }
-    for (i64 k = 0; k < count; k++) {
-      Block &b = blocks[k];
-      const char *own = H + k * HOISTED * W;
-      i32 seq[W];
-      bool some = false;
-      for (int l = 0; l < (b.uniform ? 1 : W); l++) {
-        seq[l] = seq_at(m, b.row[l], b.step[l], s);
-        some |= seq[l] >= 0;
-      }
-      if (some && b.uniform) run_together(&b, 1, m.slot[s], seq[0], own, v);
-      else if (some) run_masked(b, m.slot[s], seq, own, v);
-    }
+    const i32 seq = seq_at(m, blocks->row[0], blocks->step[0], s);
+    if (seq >= 0) run_together(blocks, count, m.slot[s], seq, H, v);
   }
-  if (!OBSERVES || !observes) return;
-  const NodeInfo &n = m.node[m.supervisor];
-  for (i64 k = 0; k < count; k++) {
-    const Block &b = blocks[k];
-    look(b, n, b.step, v);
-    char new_state[STATE * W];
-    char *state = b.moving + n.state;
-    char *to = n.flags & 2 ? new_state : state;
-    BODIES[m.supervisor](b.fixed, H + k * HOISTED * W, state, v.data, v.seq, v.times, action[k], to,
-                         b.moving + m.readings, m.constants);
-    if (to != state) memcpy(state, new_state, (8 * n.n8 + 4 * n.n4 + n.n1) * W);
-  }
+  for (i64 k = 0; k < count && OBSERVES && observes; k++) observe(blocks[k], H + k * HOISTED * W, action[k], v);
 }
 
 static Block open_block(const Model &m, const char *fixed, char *moving) {
@@ -336,7 +382,7 @@ extern "C" i64 rollout(const Model *model, const char *fixed, const char *from, 
     same[alike++] = b;
   }
   run_alike();
-  if (others) run_blocks(rest, others, false, r);
+  if (others) run_blocks(rest, others, others == 1 && rest[0].uniform, r);
   return -1;
 }
 

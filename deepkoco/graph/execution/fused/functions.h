@@ -169,24 +169,40 @@ INLINE VD reduced(VD a, VD q) {
 INLINE VF odd_sign(VF shifted) { return from_bits<VF>(bits(shifted) << 31); } // -0 for odd numbers
 INLINE VD odd_sign(VD shifted) { return from_bits<VD>(bits(shifted) << 63); }
 template <class V> INLINE V flip(V a, V sign) { return from_bits<V>(bits(a) ^ bits(sign)); }
-// Whether the number of half turns is too large in any lane, or not a number.
-template <class V> INLINE bool too_many(V turns) {
+// What is done about angles whose half turns are too many in any lane, or not a number. `Far` looks at each at once;
+// `FarLater` adds their squares up, so that a body has no branches and its statements can be mixed with those of others.
+template <class V> INLINE bool too_many(V squares) {
   constexpr typename Of<V>::T most = Limits<V>::turns;
-  return __builtin_expect(any_from(turns * turns, splat<V>(most * most)), 0);
+  return __builtin_expect(any_from(squares, splat<V>(most * most)), 0);
+}
+struct Far {};
+struct FarLater {
+  VF single{};
+  VD twofold{};
+  INLINE_MEMBER void add(VF turns) { single += turns * turns; }
+  INLINE_MEMBER void add(VD turns) { twofold += turns * turns; }
+  INLINE_MEMBER bool found() const { return too_many(single) | too_many(twofold); }
+};
+template <class V, class G> INLINE V unless_far(V turns, V a, V near, Far, G exact) {
+  return too_many(turns * turns) ? rarely(a, exact) : near;
+}
+template <class V, class G> INLINE V unless_far(V turns, V a, V near, FarLater &far, G exact) {
+  far.add(turns);
+  return near;
 }
 // sin(r + n pi) = (-1)^n sin(r)
-template <class V> INLINE V sin_(V a) {
+template <class V, class F> INLINE V sin_(V a, F &far) {
   typedef typename Of<V>::T T;
   const V shifted = a * T(0.31830988618379067154) + Limits<V>::shift, n = shifted - Limits<V>::shift;
-  if (too_many(n)) return rarely(a, [](T x) { return std::sin(x); });
-  return flip(sine_series(reduced(a, n)), odd_sign(shifted));
+  const V near = flip(sine_series(reduced(a, n)), odd_sign(shifted));
+  return unless_far(n, a, near, far, [](T x) { return std::sin(x); });
 }
 // cos(r + (n + 1/2) pi) = -(-1)^n sin(r)
-template <class V> INLINE V cos_(V a) {
+template <class V, class F> INLINE V cos_(V a, F &far) {
   typedef typename Of<V>::T T;
   const V shifted = (a * T(0.31830988618379067154) - T(0.5)) + Limits<V>::shift, n = shifted - Limits<V>::shift;
-  if (too_many(n)) return rarely(a, [](T x) { return std::cos(x); });
-  return flip(sine_series(-reduced(a, n + T(0.5))), odd_sign(shifted));
+  const V near = flip(sine_series(-reduced(a, n + T(0.5))), odd_sign(shifted));
+  return unless_far(n, a, near, far, [](T x) { return std::cos(x); });
 }
 
 // e^r - 1 for |r| <= ln(2) / 2

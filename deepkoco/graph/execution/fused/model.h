@@ -35,6 +35,20 @@ struct View { // what a node sees
   VD times[1 + 2 * PLACES];
   char stage[STAGE * W];
 };
+struct Call { // what a body is given, for up to SIDE blocks
+  const char *P[SIDE], *H[SIDE], *S[SIDE], *const *X[SIDE];
+  const VL *Q[SIDE];
+  const VD *T[SIDE];
+  char *S2[SIDE], *Y[SIDE];
+
+  INLINE_MEMBER void set(i64 k, const char *p, const char *h, const char *s, const char *const *x, const View &v,
+                         char *s2, char *y) {
+    P[k] = p, H[k] = h, S[k] = s, X[k] = x, Q[k] = v.seq, T[k] = v.times, S2[k] = s2, Y[k] = y;
+  }
+  INLINE_MEMBER void repeat(i64 k) {
+    P[k] = *P, H[k] = *H, S[k] = *S, X[k] = *X, Q[k] = *Q, T[k] = *T, S2[k] = *S2, Y[k] = *Y;
+  }
+};
 typedef void (*Policy)(const char *weights, const char *R, const char *const *X, const VL *Q, const VD *T, char *Y);
 
 struct Rollout {

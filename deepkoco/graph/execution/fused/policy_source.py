@@ -103,7 +103,7 @@ def policy_source(
             f"static const int PLACES = {max(1, sum(c.window for c in graph.inputs_of(graph.supervisor)))};",
             'extern "C" void policy(const char *weights, const char *R, const char *const *X, const VL *Q, '
             "const VD *T, char *Y) {",
-            *(f"  {line}" for line in heads + lines),
+            *(f"  {line}" for line in ["Far far;", *heads, *lines]),
             "}",
             "",
         ]

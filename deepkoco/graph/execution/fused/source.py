@@ -16,6 +16,7 @@ from deepkoco.graph.execution.fused.lowered import (
     seen_messages,
     store_tensor,
 )
+from deepkoco.graph.execution.fused.mixed import mixed_body, mixes
 from deepkoco.graph.execution.fused.pool import Pool
 from deepkoco.graph.execution.fused.program import Program
 from deepkoco.graph.execution.fused.record import Field, Spec, lay_out
@@ -31,6 +32,9 @@ _ARGUMENTS = (
 
 MOST_IN_FLIGHT = 8
 """Blocks that a rollout works on in turns, if they are small."""
+
+SIDE_BY_SIDE = 4
+"""Blocks whose statements are mixed, so that the processor need not wait for the result of one before the next."""
 
 CACHE = 1 << 15
 """Bytes that these blocks may take together, the size of a first-level cache."""
@@ -97,7 +101,7 @@ def kernel_source(
     supervisor = by_name[graph.supervisor]
     readings, reading_size = lay_out(supervisor.readings)
     bodies = Bodies(graph, by_name, moving, state_start, fixed)
-    staged, uses, same = {}, {}, {}
+    staged, uses, same, together = {}, {}, {}, {}
     for index, (n, p) in enumerate(by_name.items()):
         staged[n], uses[n] = False, set()
         if p.trace is None:
@@ -118,6 +122,8 @@ def kernel_source(
                 if outputs[f"s.{key}"].array is None and outputs[f"s.{key}"] == outputs["output"]:
                     same[n] = place.offset - state_start[n]
         bodies.add(f"body_{index}({_ARGUMENTS})", body)
+        if n != graph.supervisor and mixes(body):
+            together[index] = body
     behind = more(bodies) if more is not None else ""
     windows = [sum(c.window for c in graph.inputs_of(node.name)) for node in graph.nodes]
     sizes = {node.name: _bytes(by_name[node.name].output) for node in graph.nodes}
@@ -135,23 +141,30 @@ def kernel_source(
         "HOISTED": max(8, bodies.hoisted.size),
         "OBSERVES": int(supervisor.trace is not None),
     }
-    defines["GROUP"] = _in_flight(lanes * (fixed_size + end + reading_size + defines["HOISTED"]))
-    bodies.buffers |= {name: defines["GROUP"] for name in ("ACTION", "HOISTED")}
+    sizes_of_call = (fixed_size, end, reading_size, *(defines[n] for n in ("HOISTED", "STAGE", "OUTPUT", "STATE")))
+    defines["GROUP"] = group = _in_flight(lanes * sum(sizes_of_call))
+    defines["SIDE"] = side = SIDE_BY_SIDE if group >= SIDE_BY_SIDE else 1
+    for name, buffers in dict(ACTION=group, HOISTED=group, STAGE=side, STATE=side, OUTPUT=side).items():
+        bodies.buffers[name] = max(bodies.buffers.get(name, 0), buffers)
     defines |= bodies.defines
     check_stack(lanes * (bodies.deepest + sum(n * defines[name] for name, n in bodies.buffers.items())))
+    mixed_table = ", ".join(f"mixed_{i}" if i in together and side > 1 else "nullptr" for i in range(len(programs)))
     text = "\n".join(
         [
             f"#define W {lanes}",
             header_text("lanes.h"),
             header_text("functions.h"),
             *(f"#define {name} {number}" for name, number in defines.items()),
+            header_text("model.h"),
             *bodies.texts,
             f"typedef void (*Body)({_ARGUMENTS});",
             f"static const Body BODIES[] = {{{table}}};",
+            *(line for i, body in together.items() for line in mixed_body(body, i, side)),
+            "typedef void (*Mixed)(const Call &c, const char *K);",
+            f"static const Mixed MIXED[] = {{{mixed_table}}};",
             "static void prologue(const char *P, char *H) {",
             *bodies.prologues,
             "}",
-            header_text("model.h"),
             header_text("driver.h"),
             behind,
         ]
@@ -213,13 +226,13 @@ class Bodies:
         early, lines = body.finish(self.hoisted.place)
         self.add_prologue(body.name, early)
         self.texts += [f"static void {head} {{ // {body.name}"]
-        self.texts += [f"  {line}" for line in pool_lines(body, self.pool, "K")]
+        self.texts += ["  Far far;", *(f"  {line}" for line in pool_lines(body, self.pool, "K"))]
         self.texts += [f"  {line}" for line in lines] + ["}", ""]
 
     def add_prologue(self, name: str, lines: list[str]) -> None:
         """Append statements in a scope of their own to the prologue."""
         if lines:
-            self.prologues += [f"  {{ // {name}", *(f"    {line}" for line in lines), "  }"]
+            self.prologues += [f"  {{ // {name}", "    Far far;", *(f"    {line}" for line in lines), "  }"]
 
     def states_of(self, name: str) -> dict[str, Field]:
         """Where the moving states of a node lie."""
@@ -258,7 +271,7 @@ class Hoisted:
 
 
 def _in_flight(size: int) -> int:
-    """How many blocks of a size [bytes] are worked on in turns: a few hide the latency of each, and all stay in the cache."""
+    """How many blocks of a size [bytes] are worked on in turns: as many as stay in the cache."""
     return max(1, min(MOST_IN_FLIGHT, CACHE // size))
 
 
