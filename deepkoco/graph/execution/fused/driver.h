@@ -150,7 +150,7 @@ static void run_bodies(int index, Call &c, i64 count, const char *K) {
     return;
   }
   for (i64 k = 0; k < count; k++)
-    BODIES[index](c.P[k], c.H[k], c.S[k], c.X[k], c.Q[k], c.T[k], nullptr, c.S2[k], c.Y[k], K);
+    BODIES[index](c.P[k], c.H[k], c.S[k], c.X[k], c.Q[k], c.T[k], c.A[k], c.S2[k], c.Y[k], K);
 }
 
 // All lanes of some blocks run step `seq` of a node: nothing is masked or copied, and one search does for all blocks.
@@ -245,16 +245,23 @@ APART void run_apart(Block *blocks, i64 count, i64 slot, const char *H) {
   if (waiting) run();
 }
 
-// What the supervisor reads at the step at which each lane is.
-APART void observe(Block &b, const char *H, const char *action, View &v) {
-  const Model &m = *b.m;
+// What the supervisor reads at the step at which each lane of up to SIDE blocks is.
+APART void observe(Block *blocks, i64 count, const char *H, const char *const *action) {
+  const Model &m = *blocks->m;
   const NodeInfo &n = m.node[m.supervisor];
-  look(b, n, b.step, v);
-  char new_state[STATE * W];
-  char *state = b.moving + n.state;
-  char *to = n.flags & 2 ? new_state : state;
-  BODIES[m.supervisor](b.fixed, H, state, v.data, v.seq, v.times, action, to, b.moving + m.readings, m.constants);
-  if (to != state) memcpy(state, new_state, (8 * n.n8 + 4 * n.n4 + n.n1) * W);
+  View views[SIDE];
+  Call c;
+  char new_state[SIDE][STATE * W];
+  for (i64 k = 0; k < count; k++) {
+    const Block &b = blocks[k];
+    char *state = b.moving + n.state;
+    look(b, n, b.step, views[k]);
+    c.set(k, b.fixed, H + k * HOISTED * W, state, views[k].data, views[k], n.flags & 2 ? new_state[k] : state,
+          b.moving + m.readings, action[k]);
+  }
+  run_bodies(i32(m.supervisor), c, count, m.constants);
+  for (i64 k = 0; k < count && n.flags & 2; k++)
+    memcpy(blocks[k].moving + n.state, new_state[k], (8 * n.n8 + 4 * n.n4 + n.n1) * W);
 }
 
 // Everything before the supervisor step at which each lane is, then what the supervisor reads there.
@@ -269,7 +276,8 @@ static void run_slots(Block *blocks, i64 count, bool together, const char *H, co
     const i32 seq = seq_at(m, blocks->row[0], blocks->step[0], s);
     if (seq >= 0) run_together(blocks, count, m.slot[s], seq, H, v);
   }
-  for (i64 k = 0; k < count && OBSERVES && observes; k++) observe(blocks[k], H + k * HOISTED * W, action[k], v);
+  for (i64 k = 0; k < count && OBSERVES && observes; k += SIDE)
+    observe(blocks + k, count - k < SIDE ? count - k : SIDE, H + k * HOISTED * W, action + k);
 }
 
 static Block open_block(const Model &m, const char *fixed, char *moving) {
@@ -317,6 +325,29 @@ static i64 short_of_steps(const Model &m, const char *fixed, const char *moving,
   return found;
 }
 
+INLINE void copy(char *to, const char *from, i64 bytes) {
+  i64 at = 0;
+  for (; at + 64 <= bytes; at += 64) memcpy(to + at, from + at, 64);
+  if (at < bytes) memcpy(to + at, from + at, bytes - at);
+}
+
+// Actions of a policy.
+static void decide(Block *blocks, i64 count, const Rollout &r, View &v, char *actions) {
+  const Model &m = *blocks->m;
+  i64 k = 0;
+  for (; r.policies && count - k >= 4; k += 4) {
+    const char *R[4];
+    char *Y[4];
+    for (i64 j = 0; j < 4; j++) R[j] = blocks[k + j].moving + m.readings, Y[j] = actions + (k + j) * ACTION * W;
+    r.policies(r.weights, R, Y);
+  }
+  for (; k < count; k++) {
+    const Block &b = blocks[k];
+    if (r.looks) look(b, m.node[m.supervisor], b.step, v);
+    r.policy(r.weights, b.moving + m.readings, v.data, v.seq, v.times, actions + k * ACTION * W);
+  }
+}
+
 // Take blocks through all steps of a call, step by step: while one waits for its last result, the processor works on
 // the next. `together`: all are at the same step of the same schedule.
 static void run_blocks(Block *blocks, i64 count, bool together, const Rollout &r) {
@@ -330,19 +361,18 @@ static void run_blocks(Block *blocks, i64 count, bool together, const Rollout &r
   const char *action[GROUP];
   for (i64 k = 0; k < count; k++) prologue(blocks[k].fixed, H + k * HOISTED * W);
   for (i64 t = 0; t < r.steps; t++) {
+    if (r.policy) decide(blocks, count, r, v, buffer);
     for (i64 k = 0; k < count; k++) {
       Block &b = blocks[k];
       char *own = buffer + k * ACTION * W;
-      if (r.policy) {
-        if (r.looks) look(b, n, b.step, v);
-        r.policy(r.weights, b.moving + m.readings, v.data, v.seq, v.times, own);
-      } else if (k && !r.action_environment)
-        memcpy(own, buffer, bytes * W); // one action for all
-      else
-        gather(b.environment, r.actions + t * r.action_time, r.action_environment, n.count, n.size, own);
+      if (!r.policy) {
+        if (b.uniform) own = b.moving + n.ring + (b.step[0] & n.ring_mask) * bytes * W; // where it belongs
+        if (k && !r.action_environment) copy(own, action[0], bytes * W); // one action for all
+        else gather(b.environment, r.actions + t * r.action_time, r.action_environment, n.count, n.size, own);
+      }
       if (r.out_actions) scatter(b.environment, own, n.count, n.size, r.out_actions + t * m.batch * bytes);
-      write(b, n, b.step, own);
-      for (int l = 0; l < W; l++) b.step[l]++;
+      if (r.policy || !b.uniform) write(b, n, b.step, own);
+      for (int l = 0; l < (b.uniform ? 1 : W); l++) b.step[l]++;
       action[k] = own;
     }
     run_slots(blocks, count, together, H, action, v, seen || t == r.steps - 1);
@@ -351,7 +381,11 @@ static void run_blocks(Block *blocks, i64 count, bool together, const Rollout &r
         scatter(blocks[k].environment, blocks[k].moving + m.readings + r.reading_offset[o] * W, r.reading_count[o],
                 r.reading_size[o], r.out_readings[o] + t * m.batch * r.reading_count[o] * r.reading_size[o]);
   }
-  for (i64 k = 0; k < count; k++) memcpy(blocks[k].moving, blocks[k].step, sizeof blocks[k].step);
+  for (i64 k = 0; k < count; k++) {
+    Block &b = blocks[k];
+    for (int l = 0; l < W && b.uniform; l++) b.step[l] = b.step[0]; // only one was counted
+    memcpy(b.moving, b.step, sizeof b.step);
+  }
 }
 
 extern "C" i64 rollout(const Model *model, const char *fixed, const char *from, char *to, const Rollout *call) {
@@ -366,8 +400,9 @@ extern "C" i64 rollout(const Model *model, const char *fixed, const char *from, 
     if (others == GROUP) run_blocks(rest, others, false, r), others = 0;
   };
   const auto run_alike = [&] {
-    if (alike == 1) put_aside(same[0]);
-    else if (alike) run_blocks(same, alike, true, r);
+    const i64 full = alike - alike % SIDE; // what is left over fills up the others
+    if (full) run_blocks(same, full, true, r);
+    for (i64 k = full; k < alike; k++) put_aside(same[k]);
     alike = 0;
   };
   for (i64 block = r.first; block < r.last; block++) {

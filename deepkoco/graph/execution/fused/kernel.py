@@ -43,7 +43,7 @@ class RolloutCall(ctypes.Structure):
 
     _fields_ = (
         [(name, ctypes.c_int64) for name in ("steps", "first", "last", "looks")]
-        + [(name, ctypes.c_void_p) for name in ("policy", "weights", "actions")]
+        + [(name, ctypes.c_void_p) for name in ("policy", "policies", "weights", "actions")]
         + [(name, ctypes.c_int64) for name in ("action_time", "action_environment")]
         + [("out_actions", ctypes.c_void_p), ("outputs", ctypes.c_int64)]
         + [(n, ctypes.c_void_p) for n in ("reading_offset", "reading_count", "reading_size", "out_readings")]

@@ -9,10 +9,13 @@ import re
 
 from deepkoco.graph.execution.fused.body import Body
 
+SIDE_BY_SIDE = 4
+"""Blocks whose statements are mixed, so that the processor need not wait for the result of one before the next."""
+
 MOST_STATEMENTS = 600
 """Of a body that is written for several blocks: longer ones take the compiler too long."""
 
-_OWN = re.compile(r"\b(v\d+|far|P|H|S|X|Q|T|S2|Y)\b")
+_OWN = re.compile(r"\b(v\d+|far|P|H|S|X|Q|T|A|S2|Y|R)\b")
 """Names of which each block has its own."""
 
 _POINTERS = (
@@ -20,9 +23,18 @@ _POINTERS = (
     ("const char *const *", "X"),
     ("const VL *", "Q"),
     ("const VD *", "T"),
+    ("const char *", "A"),
     *(("char *", name) for name in ("S2", "Y")),
 )
-_ARGUMENTS = ("P", "H", "S", "X", "Q", "T", "nullptr", "S2", "Y")
+_ARGUMENTS = "P", "H", "S", "X", "Q", "T", "A", "S2", "Y"
+
+_PRODUCT = re.compile(r"matvec<(.+)>\((\w+), (.+), (\w+), (\w+)\);")
+"""What a product of a vector and shared numbers looks like: sizes, vector, numbers, what is added, result."""
+
+_ARRAY = re.compile(r"(V\w+ a\d+\[\d+\]);")
+_ELEMENT = re.compile(r"\b(a\d+)\[([^\[\]]*)\]")
+_WHOLE = re.compile(r"\ba\d+\b(?!\[)")
+"""A new array, an element of one, and an array in any other place."""
 
 
 def mixes(body: Body) -> bool:
@@ -52,10 +64,39 @@ def mixed_body(body: Body, index: int, blocks: int) -> list[str]:
     found = " | ".join(f"far_{k}.found()" for k in copies)
     lines += [f"  if (__builtin_expect({found}, 0)) {{"]
     for k in copies:
-        own = ", ".join(name if name == "nullptr" else f"{name}_{k}" for name in _ARGUMENTS)
+        own = ", ".join(f"{name}_{k}" for name in _ARGUMENTS)
         lines.append(f"    body_{index}({own}, K);")
     lines += ["    return;", "  }"]
     return lines + [_of_block(line, k) for line in stored for k in copies] + ["}", ""]
+
+
+def mixed_policy(lines: list[str], blocks: int) -> list[str] | None:
+    """Statements of a policy for a number of blocks: products with its weights are taken for all at once.
+
+    The blocks lie side by side in the arrays too, element by element.
+
+    Args:
+        lines: those for one block; weights are named k1, k2, ...
+        blocks: how many at once.
+
+    Returns:
+        None if an array is used in another way than by elements or in such a product.
+    """
+    mixed = []
+    for line in lines:
+        product, array = _PRODUCT.fullmatch(line), _ARRAY.fullmatch(line)
+        if product is not None:
+            sizes, vector, numbers, added, result = product.groups()
+            mixed.append(f"  matvecs<{sizes}, {blocks}>({vector}, {numbers}, {added}, {result});")
+        elif array is not None:
+            mixed.append(f"  {array[1]}[{blocks}];")
+        elif _WHOLE.search(line):
+            return None
+        else:
+            loop, statement = re.fullmatch(r"((?:LOOP )?(?:for \([^)]*\) )*)(.*)", line).groups()
+            each = [_ELEMENT.sub(rf"\1[\2][{k}]", _of_block(statement, k)) for k in range(blocks)]
+            mixed += [f"  {loop}{{", *each, "  }"] if loop else each
+    return mixed
 
 
 def _of_block(line: str, k: int) -> str:

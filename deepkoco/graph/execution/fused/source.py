@@ -16,7 +16,7 @@ from deepkoco.graph.execution.fused.lowered import (
     seen_messages,
     store_tensor,
 )
-from deepkoco.graph.execution.fused.mixed import mixed_body, mixes
+from deepkoco.graph.execution.fused.mixed import SIDE_BY_SIDE, mixed_body, mixes
 from deepkoco.graph.execution.fused.pool import Pool
 from deepkoco.graph.execution.fused.program import Program
 from deepkoco.graph.execution.fused.record import Field, Spec, lay_out
@@ -32,9 +32,6 @@ _ARGUMENTS = (
 
 MOST_IN_FLIGHT = 8
 """Blocks that a rollout works on in turns, if they are small."""
-
-SIDE_BY_SIDE = 4
-"""Blocks whose statements are mixed, so that the processor need not wait for the result of one before the next."""
 
 CACHE = 1 << 15
 """Bytes that these blocks may take together, the size of a first-level cache."""
@@ -122,7 +119,7 @@ def kernel_source(
                 if outputs[f"s.{key}"].array is None and outputs[f"s.{key}"] == outputs["output"]:
                     same[n] = place.offset - state_start[n]
         bodies.add(f"body_{index}({_ARGUMENTS})", body)
-        if n != graph.supervisor and mixes(body):
+        if mixes(body):
             together[index] = body
     behind = more(bodies) if more is not None else ""
     windows = [sum(c.window for c in graph.inputs_of(node.name)) for node in graph.nodes]
