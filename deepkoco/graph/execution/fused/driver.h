@@ -145,7 +145,8 @@ static void look(const Block &b, const NodeInfo &n, const i32 *seq, View &v) {
 // Run a step of a node in the blocks that wait for it.
 static void run_bodies(int index, Call &c, i64 count, const char *K) {
   if (count > 1 && SIDE > 1 && MIXED[index]) {
-    for (i64 k = count; k < SIDE; k++) c.repeat(k); // the same again changes nothing
+    c.count = count;
+    for (i64 k = count; k < SIDE; k++) c.repeat(k); // everything is read before anything is written
     MIXED[index](c, K);
     return;
   }

@@ -44,29 +44,25 @@ def mixes(body: Body) -> bool:
     return plain and stores == sorted(stores) and len(stores) <= MOST_STATEMENTS
 
 
-def mixed_body(body: Body, index: int, blocks: int) -> list[str]:
-    """The function of a node for a number of blocks, from a body that is finished.
+def mixed_body(body: Body, head: str, exact: str, blocks: int) -> list[str]:
+    """The function of a node for one or several blocks, from a body that is finished.
 
     Args:
         body: which `mixes`.
-        index: of the node.
-        blocks: how many at once; of one there is no such function.
+        head: name and arguments of the function.
+        exact: name of the function that does it all again for one block if an angle is too large.
+        blocks: how many at once; the arguments of more than one stand in a `Call`.
     """
-    if blocks == 1:
-        return []
-    copies = range(blocks)
-    lines = [f"static void mixed_{index}(const Call &c, const char *K) {{ // {body.name}"]
-    lines += [f"  {kind}const {name}_{k} = c.{name}[{k}];" for kind, name in _POINTERS for k in copies]
-    lines += [f"  FarLater far_{k};" for k in copies]
+    copies = range(blocks) if blocks > 1 else [None]
+    lines = [f"static void {head} {{ // {body.name}"]
+    if blocks > 1:
+        lines += [f"  {kind}const {name}_{k} = c.{name}[{k}];" for kind, name in _POINTERS for k in copies]
     computed = [line for line in body.lines if not line.startswith("st(")]
     stored = [line for line in body.lines if line.startswith("st(")]
-    lines += [_of_block(line, k) for line in [*body.loads(), *computed] for k in copies]
-    found = " | ".join(f"far_{k}.found()" for k in copies)
-    lines += [f"  if (__builtin_expect({found}, 0)) {{"]
-    for k in copies:
-        own = ", ".join(f"{name}_{k}" for name in _ARGUMENTS)
-        lines.append(f"    body_{index}({own}, K);")
-    lines += ["    return;", "  }"]
+    lines += [_of_block(line, k) for line in ["FarLater far;", *body.loads(), *computed] for k in copies]
+    found = " | ".join(_of_block("far.found()", k).strip() for k in copies)
+    again = [_of_block(f"  {_if_asked(k)}{exact}({', '.join(_ARGUMENTS)}, K);", k) for k in copies]
+    lines += [f"  if (__builtin_expect({found}, 0)) {{", *again, "    return;", "  }"]
     return lines + [_of_block(line, k) for line in stored for k in copies] + ["}", ""]
 
 
@@ -99,5 +95,9 @@ def mixed_policy(lines: list[str], blocks: int) -> list[str] | None:
     return mixed
 
 
-def _of_block(line: str, k: int) -> str:
-    return "  " + _OWN.sub(rf"\1_{k}", line)
+def _if_asked(k: int | None) -> str:
+    return f"if (c.count > {k}) " if k else ""  # not for a block that only fills up: its state would move twice
+
+
+def _of_block(line: str, k: int | None) -> str:
+    return "  " + (line if k is None else _OWN.sub(rf"\1_{k}", line))

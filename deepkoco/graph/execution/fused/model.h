@@ -41,6 +41,7 @@ struct Call { // what a body is given, for up to SIDE blocks
   const VD *T[SIDE];
   const char *A[SIDE];
   char *S2[SIDE], *Y[SIDE];
+  i64 count; // the others repeat the first
 
   INLINE_MEMBER void set(i64 k, const char *p, const char *h, const char *s, const char *const *x, const View &v,
                          char *s2, char *y, const char *action = nullptr) {

@@ -118,8 +118,10 @@ def kernel_source(
             for key, place in own.items():
                 if outputs[f"s.{key}"].array is None and outputs[f"s.{key}"] == outputs["output"]:
                     same[n] = place.offset - state_start[n]
-        bodies.add(f"body_{index}({_ARGUMENTS})", body)
-        if mixes(body):
+        mixed = mixes(body)
+        bodies.add(f"{'exact' if mixed else 'body'}_{index}({_ARGUMENTS})", body, "FarApart" if mixed else "Far")
+        if mixed:
+            bodies.texts += mixed_body(body, f"body_{index}({_ARGUMENTS})", f"exact_{index}", 1)
             together[index] = body
     behind = more(bodies) if more is not None else ""
     windows = [sum(c.window for c in graph.inputs_of(node.name)) for node in graph.nodes]
@@ -145,6 +147,9 @@ def kernel_source(
         bodies.buffers[name] = max(bodies.buffers.get(name, 0), buffers)
     defines |= bodies.defines
     check_stack(lanes * (bodies.deepest + sum(n * defines[name] for name, n in bodies.buffers.items())))
+    several: list[str] = []
+    for i, body in together.items() if side > 1 else ():
+        several += mixed_body(body, f"mixed_{i}(const Call &c, const char *K)", f"exact_{i}", side)
     mixed_table = ", ".join(f"mixed_{i}" if i in together and side > 1 else "nullptr" for i in range(len(programs)))
     text = "\n".join(
         [
@@ -156,7 +161,7 @@ def kernel_source(
             *bodies.texts,
             f"typedef void (*Body)({_ARGUMENTS});",
             f"static const Body BODIES[] = {{{table}}};",
-            *(line for i, body in together.items() for line in mixed_body(body, i, side)),
+            *several,
             "typedef void (*Mixed)(const Call &c, const char *K);",
             f"static const Mixed MIXED[] = {{{mixed_table}}};",
             "static void prologue(const char *P, char *H) {",
@@ -217,13 +222,19 @@ class Bodies:
         self.defines: dict[str, int] = {}
         self.buffers: dict[str, int] = {n: 1 for n in ("STAGE", "STATE", "OUTPUT", "ACTION", "HOISTED")}
 
-    def add(self, head: str, body: Body) -> None:
-        """Append a finished body as a function with this name and these arguments."""
+    def add(self, head: str, body: Body, far: str = "Far") -> None:
+        """Append a finished body as a function with this name and these arguments.
+
+        Args:
+            head: name and arguments.
+            body: the statements.
+            far: what is done about angles that are too large for the fast sine, see `functions.h`.
+        """
         self.deepest = max(self.deepest, body.bytes)
         early, lines = body.finish(self.hoisted.place)
         self.add_prologue(body.name, early)
         self.texts += [f"static void {head} {{ // {body.name}"]
-        self.texts += ["  Far far;", *(f"  {line}" for line in pool_lines(body, self.pool, "K"))]
+        self.texts += [f"  {far} far;", *(f"  {line}" for line in pool_lines(body, self.pool, "K"))]
         self.texts += [f"  {line}" for line in lines] + ["}", ""]
 
     def add_prologue(self, name: str, lines: list[str]) -> None:
