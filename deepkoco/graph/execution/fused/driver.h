@@ -118,15 +118,16 @@ static void look(const Block &b, const NodeInfo &n, const i32 *seq, View &v) {
     const i64 bytes = s.count * s.size * W;
     const char *ring = b.moving + s.ring;
     for (i32 i = 0; i < e->window; i++, j++) {
-      i32 message[W], cell[W];
-      bool same = true;
-      for (int l = 0; l < W; l++) {
-        message[l] = m.windows[b.row[l] * m.window_columns + e->window_base + i64(seq[l]) * e->window + i];
-        cell[l] = message[l] & s.ring_mask;
-        same &= cell[l] == cell[0];
-      }
+      i32 message[W], cell[W], differ = 0;
+      const i32 *const *seen = b.seen;
+      const i64 at = e->window_base + i;
+      const i32 window = e->window;
+#pragma GCC unroll 1
+      for (int l = 0; l < W; l++) message[l] = seen[l][at + i64(seq[l] * window)];
+      for (int l = 0; l < W; l++) cell[l] = message[l] & s.ring_mask;
+      for (int l = 0; l < W; l++) differ |= cell[l] ^ cell[0];
       v.data[j] = ring + cell[0] * bytes;
-      if (!same) {
+      if (differ) {
         pick(ring, bytes, s.ring_mask, cell, s.count, s.size, stage);
         v.data[j] = stage;
         stage += bytes;
@@ -218,6 +219,27 @@ struct Turn {
   }
 };
 
+// The steps that a slot runs in the lanes of a block, -1 for none; returns whether any lane runs.
+INLINE bool steps_of(const Block &b, i64 slot, i32 *seq) {
+  const Model &m = *b.m;
+  if (b.uniform) {
+    const i32 one = seq_at(m, b.row[0], b.step[0], slot);
+    for (int l = 0; l < W; l++) seq[l] = one;
+    return one >= 0;
+  }
+  i32 own[W], all = -1;
+  if (m.small_table) {
+#pragma GCC unroll 1
+    for (int l = 0; l < W; l++) own[l] = ((const int16_t *)b.runs[l])[slot];
+  } else {
+#pragma GCC unroll 1
+    for (int l = 0; l < W; l++) own[l] = ((const i32 *)b.runs[l])[slot];
+  }
+  for (int l = 0; l < W; l++) all &= own[l]; // negative if all are
+  memcpy(seq, own, sizeof own);
+  return all >= 0;
+}
+
 // A slot of blocks that are at different steps or have different schedules.
 APART void run_apart(Block *blocks, i64 count, i64 slot, const char *H) {
   const Model &m = *blocks->m;
@@ -233,12 +255,7 @@ APART void run_apart(Block *blocks, i64 count, i64 slot, const char *H) {
   for (i64 k = 0; k < count; k++) {
     Block &b = blocks[k];
     Turn &turn = turns[waiting];
-    bool some = false;
-    for (int l = 0; l < W; l++) {
-      turn.seq[l] = l && b.uniform ? turn.seq[0] : seq_at(m, b.row[l], b.step[l], slot);
-      some |= turn.seq[l] >= 0;
-    }
-    if (!some) continue;
+    if (!steps_of(b, slot, turn.seq)) continue;
     turn.b = &b;
     turn.begin(index, H + k * HOISTED * W, c, waiting++);
     if (waiting == SIDE) run();
@@ -282,7 +299,7 @@ static void run_slots(Block *blocks, i64 count, bool together, const char *H, co
 }
 
 static Block open_block(const Model &m, const char *fixed, char *moving) {
-  Block b{&m, fixed, moving, {}, {}, {}, true, true};
+  Block b{&m, fixed, moving, {}, {}, {}, {}, {}, true, true};
   memcpy(b.environment, fixed, sizeof b.environment);
   memcpy(b.row, fixed + 4 * W, sizeof b.row);
   memcpy(b.step, moving, sizeof b.step);
@@ -291,6 +308,11 @@ static Block open_block(const Model &m, const char *fixed, char *moving) {
     b.uniform &= b.row[l] == b.row[0];
   }
   b.uniform &= b.level;
+  const i64 size = m.small_table ? 2 : 4;
+  for (int l = 0; l < W && !b.uniform; l++) {
+    b.runs[l] = (const char *)m.table + (b.row[l] * (m.steps + 1) + b.step[l]) * m.slots * size;
+    b.seen[l] = m.windows + b.row[l] * m.window_columns;
+  }
   return b;
 }
 static void gather(const i32 *environment, const char *from, i64 stride, i64 count, i64 size, char *to) {
@@ -349,6 +371,16 @@ static void decide(Block *blocks, i64 count, const Rollout &r, View &v, char *ac
   }
 }
 
+INLINE void step_on(Block &b) {
+  if (b.uniform) {
+    b.step[0]++; // the others are set at the end
+    return;
+  }
+  const i64 bytes = b.m->slots * (b.m->small_table ? 2 : 4);
+  for (int l = 0; l < W; l++) b.step[l]++;
+  for (int l = 0; l < W; l++) b.runs[l] += bytes;
+}
+
 // Take blocks through all steps of a call, step by step: while one waits for its last result, the processor works on
 // the next. `together`: all are at the same step of the same schedule.
 static void run_blocks(Block *blocks, i64 count, bool together, const Rollout &r) {
@@ -373,7 +405,7 @@ static void run_blocks(Block *blocks, i64 count, bool together, const Rollout &r
       }
       if (r.out_actions) scatter(b.environment, own, n.count, n.size, r.out_actions + t * m.batch * bytes);
       if (r.policy || !b.uniform) write(b, n, b.step, own);
-      for (int l = 0; l < (b.uniform ? 1 : W); l++) b.step[l]++;
+      step_on(b);
       action[k] = own;
     }
     run_slots(blocks, count, together, H, action, v, seen || t == r.steps - 1);

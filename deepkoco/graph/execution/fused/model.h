@@ -72,6 +72,8 @@ struct Block {
   const char *fixed;
   char *moving;
   i32 environment[W], row[W], step[W];
+  const char *runs[W]; // in the table of slots, the step at which each lane is
+  const i32 *seen[W];  // in the table of windows, the schedule of each lane
   bool level;   // all lanes are at the same step
   bool uniform; // and have the same schedule
 };
