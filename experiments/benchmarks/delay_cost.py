@@ -1,8 +1,8 @@
 """What random delays cost: `python -m experiments.benchmarks.delay_cost [--batch 1024] [--out delay_cost.csv]`.
 
-The benchmark's pendulum without delays, with random delays of 20 schedules that the environments share, and with a schedule
-of its own for every environment, all below a control step and drawn anew for every message. They take turns in one
-run, with given actions and with the policy of 2 x 64 tanh units. The ratio is one of processor time within a repeat.
+The benchmark's pendulum without delays, with random delays of 20 schedules that the environments share, and with a
+schedule of its own for every environment, all below a control step and drawn anew for every message. They take turns in
+one run, with given actions and with the policy of 2 x 64 tanh units. The ratio is one of processor time in a repeat.
 """
 
 import argparse

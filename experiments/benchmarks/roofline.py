@@ -1,9 +1,9 @@
 """How much of the machine a kernel uses: `python -m experiments.benchmarks.roofline [--out roofline.csv]`.
 
-A loop written by hand takes Runge-Kutta steps of the benchmark's pendulum and does nothing else: no graph, no delays, no
-messages, the states in registers, the number of vectors side by side that is fastest. The same vector functions and the
-same compiler as in a kernel. It and the population of `rollout_work.py` (no policy, 200 x 1050 steps) take turns in one
-run, so that what else the machine does hits both; the highest rate of each counts. An agent step has two
+A loop written by hand takes Runge-Kutta steps of the benchmark's pendulum and does nothing else: no graph, no delays,
+no messages, the states in registers, the number of vectors side by side that is fastest. The same vector functions and
+the same compiler as in a kernel. It and the population of `rollout_work.py` (no policy, 200 x 1050 steps) take turns in
+one run, so that what else the machine does hits both; the highest rate of each counts. An agent step has two
 Runge-Kutta steps. Without the dry friction (a hyperbolic tangent per derivative) the loop shows what the machine does
 with a sine alone.
 """

@@ -1,8 +1,8 @@
 """Bodies that work on several blocks side by side.
 
-A statement of a Runge-Kutta step waits for the one before it, four cycles or more, and a processor looks only some hundred
-instructions ahead. So each statement is written for all blocks before the next one. Such a body has no branches: angles that
-are too large for the fast sine are noted, and then everything is done again one by one.
+A statement of a Runge-Kutta step waits for the one before it, four cycles or more, and a processor looks only some
+hundred instructions ahead. So each statement is written for all blocks before the next one. Such a body has no
+branches: angles that are too large for the fast sine are noted, and then everything is done again one by one.
 """
 
 import re
@@ -31,14 +31,15 @@ _ARGUMENTS = "P", "H", "S", "X", "Q", "T", "A", "S2", "Y"
 _PRODUCT = re.compile(r"matvec<(.+)>\((\w+), (.+), (\w+), (\w+)\);")
 """What a product of a vector and shared numbers looks like: sizes, vector, numbers, what is added, result."""
 
+_LOOPS = re.compile(r"(?:LOOP )?(?:for \([^)]*\) )+")
 _ARRAY = re.compile(r"(V\w+ a\d+\[\d+\]);")
 _ELEMENT = re.compile(r"\b(a\d+)\[([^\[\]]*)\]")
 _WHOLE = re.compile(r"\ba\d+\b(?!\[)")
-"""A new array, an element of one, and an array in any other place."""
+"""Loops before a statement, a new array, an element of one, and an array in any other place."""
 
 
 def mixes(body: Body) -> bool:
-    """Whether a body has only statements that can be mixed: definitions of lane vectors, and what it stores at its end."""
+    """Whether a body has only statements that can be mixed: definitions of lane vectors, and stores at its end."""
     stores = [line.startswith("st(") for line in body.lines]
     plain = all(store or line.startswith("const V") for line, store in zip(body.lines, stores, strict=True))
     return plain and stores == sorted(stores) and len(stores) <= MOST_STATEMENTS
@@ -89,14 +90,16 @@ def mixed_policy(lines: list[str], blocks: int) -> list[str] | None:
         elif _WHOLE.search(line):
             return None
         else:
-            loop, statement = re.fullmatch(r"((?:LOOP )?(?:for \([^)]*\) )*)(.*)", line).groups()
+            head = _LOOPS.match(line)
+            loop, statement = (head[0], line[head.end() :]) if head else ("", line)
             each = [_ELEMENT.sub(rf"\1[\2][{k}]", _of_block(statement, k)) for k in range(blocks)]
             mixed += [f"  {loop}{{", *each, "  }"] if loop else each
     return mixed
 
 
 def _if_asked(k: int | None) -> str:
-    return f"if (c.count > {k}) " if k else ""  # not for a block that only fills up: its state would move twice
+    # Not again for a block that only fills up: its state would move twice.
+    return f"if (c.count > {k}) " if k else ""
 
 
 def _of_block(line: str, k: int | None) -> str:

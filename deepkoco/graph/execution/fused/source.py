@@ -119,7 +119,9 @@ def kernel_source(
                 if outputs[f"s.{key}"].array is None and outputs[f"s.{key}"] == outputs["output"]:
                     same[n] = place.offset - state_start[n]
         mixed = mixes(body)
-        bodies.add(f"{'exact' if mixed else 'body'}_{index}({_ARGUMENTS})", body, "FarApart" if mixed else "Far")
+        bodies.add(
+            f"{'exact' if mixed else 'body'}_{index}({_ARGUMENTS})", body, "FarApart" if mixed else "Far"
+        )
         if mixed:
             bodies.texts += mixed_body(body, f"body_{index}({_ARGUMENTS})", f"exact_{index}", 1)
             together[index] = body
@@ -140,7 +142,12 @@ def kernel_source(
         "HOISTED": max(8, bodies.hoisted.size),
         "OBSERVES": int(supervisor.trace is not None),
     }
-    sizes_of_call = (fixed_size, end, reading_size, *(defines[n] for n in ("HOISTED", "STAGE", "OUTPUT", "STATE")))
+    sizes_of_call = (
+        fixed_size,
+        end,
+        reading_size,
+        *(defines[n] for n in ("HOISTED", "STAGE", "OUTPUT", "STATE")),
+    )
     defines["GROUP"] = group = _in_flight(lanes * sum(sizes_of_call))
     defines["SIDE"] = side = SIDE_BY_SIDE if group >= SIDE_BY_SIDE else 1
     for name, buffers in dict(ACTION=group, HOISTED=group, STAGE=side, STATE=side, OUTPUT=side).items():
@@ -150,7 +157,9 @@ def kernel_source(
     several: list[str] = []
     for i, body in together.items() if side > 1 else ():
         several += mixed_body(body, f"mixed_{i}(const Call &c, const char *K)", f"exact_{i}", side)
-    mixed_table = ", ".join(f"mixed_{i}" if i in together and side > 1 else "nullptr" for i in range(len(programs)))
+    mixed_table = ", ".join(
+        f"mixed_{i}" if i in together and side > 1 else "nullptr" for i in range(len(programs))
+    )
     text = "\n".join(
         [
             f"#define W {lanes}",

@@ -37,7 +37,7 @@ def arguments(kind: type, far: float, count: int) -> np.ndarray:
 
 
 SMALL = {np.float32: 2.0**-12, np.float64: 2.0**-38}
-"""Sines smaller than this have the error of one of this size: a multiple of pi has no more digits than two parts of pi."""
+"""Smaller sines have the error of one of this size: a multiple of pi has no more digits than two parts of pi."""
 
 
 def error_in_last_places(found: np.ndarray, exact: list, kind: type, least: float = 0.0) -> np.ndarray:
@@ -63,7 +63,10 @@ def test_error_is_below_what_is_stated(name, dtype, kind, far, batch):
     x = arguments(kind, far, 150)
     if name == "log":
         x = np.abs(x)
-    elif name in ("exp", "expm1"):  # all of the range where the result is a number, and where it is 0 or infinite
+    elif name in (
+        "exp",
+        "expm1",
+    ):  # all of the range where the result is a number, and where it is 0 or infinite
         x = np.concatenate([x, np.linspace(-110 if kind is np.float32 else -750, 90, 400).astype(kind)])
         x = x[x < np.log(float(np.finfo(kind).max)) + 1]
     with mpmath.workdps(60):
@@ -95,7 +98,9 @@ def test_one_large_angle_does_not_change_the_others(dtype, kind, far):
         found = run(function, mixed)
         others = torch.ones(64, dtype=torch.bool)
         others[[3, 40]] = False
-        torch.testing.assert_close(found[others], run(function, near)[others], rtol=0, atol=2 * torch.finfo(dtype).eps)
+        torch.testing.assert_close(
+            found[others], run(function, near)[others], rtol=0, atol=2 * torch.finfo(dtype).eps
+        )
         torch.testing.assert_close(found[~others], function(mixed[~others]))
 
 
@@ -103,6 +108,8 @@ def test_bounds_hold_for_numbers_and_for_nan():
     x = torch.tensor([-3.0, -1.0, -0.5, 0.0, 2.0, np.inf, -np.inf, np.nan]).repeat(4)[:, None]
 
     def bounded(x: Tensor) -> Tensor:
-        return torch.cat([x.clamp(-1, 2), x.clamp(min=0.5), x.clamp(max=-0.25), torch.clamp(x, x * 0, x * 0 + 1)], 1)
+        return torch.cat(
+            [x.clamp(-1, 2), x.clamp(min=0.5), x.clamp(max=-0.25), torch.clamp(x, x * 0, x * 0 + 1)], 1
+        )
 
     torch.testing.assert_close(run(bounded, x), bounded(x), equal_nan=True, rtol=0, atol=0)
