@@ -18,8 +18,12 @@ def test_loop_by_hand_takes_the_steps_of_the_system(units):
     state = torch.stack([angle, torch.zeros_like(angle)], 1)
     parameters = rollout_work.make_parameters()["world"]
     for _ in range(20):
-        state = rk4_step(Pendulum(), state, torch.full_like(angle, 1.5), 1 / rollout_work.WORLD_RATE, parameters)
-    torch.testing.assert_close(torch.from_numpy(found.transpose(0, 2, 1).reshape(-1, 2)), state, rtol=1e-4, atol=1e-4)
+        state = rk4_step(
+            Pendulum(), state, torch.full_like(angle, 1.5), 1 / rollout_work.WORLD_RATE, parameters
+        )
+    torch.testing.assert_close(
+        torch.from_numpy(found.transpose(0, 2, 1).reshape(-1, 2)), state, rtol=1e-4, atol=1e-4
+    )
 
 
 def test_cost_of_delays_is_a_ratio_to_none():

@@ -56,3 +56,37 @@ def test_large_angles_are_those_of_the_eager_executor():
         state, _ = runtime.rollout(state, ACTIONS[:5, chosen], 5, record=[])
         results.append(state.nodes["world"]["state"])
     torch.testing.assert_close(results[0][:, 1], results[1][:, 1], rtol=1e-3, atol=1e-3)
+
+
+class Residual(torch.nn.Module):
+    """A policy with sums over its units, sines, and a layer without bias."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.first, self.last = torch.nn.Linear(6, 48, bias=False), torch.nn.Linear(48, 1)
+
+    def forward(self, observation: torch.Tensor) -> torch.Tensor:
+        hidden = torch.sin(torch.nn.functional.silu(self.first(observation)))
+        return self.last(hidden + hidden.mean(1, keepdim=True))
+
+
+def test_policies_of_other_kinds_decide_as_in_torch():
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        policies = [
+            Residual(),
+            torch.nn.Sequential(torch.nn.Linear(6, 33), torch.nn.ELU(), torch.nn.Linear(33, 1)),
+        ]
+    chosen = np.arange(90)
+    for policy in policies:
+        results = []
+        for executor in ("fused", "eager"):
+            runtime = BatchedRuntime(GRAPH, TIMING, executor=executor)
+            own = {"world": {"state": START[chosen]}}
+            state, _ = runtime.reset(
+                make_parameters(), torch.Generator().manual_seed(0), own, rows=SCHEDULES[chosen]
+            )
+            with torch.no_grad():
+                state, _ = runtime.rollout(state, policy, 5, record=[])
+            results.append(state.nodes["world"]["state"])
+        torch.testing.assert_close(*results, rtol=1e-4, atol=1e-4)
