@@ -228,7 +228,7 @@ class GraphVectorEnv(VectorEnv):
             The readings by name, without the batch; not to be written into.
         """
         self._state, _ = self._runtime.step(self.state, self._command(action))
-        return {name: value.cpu().numpy()[0] for name, value in self._state.readings.items()}
+        return self._state.first_readings()
 
     def take_single_actions(self) -> None:
         """Take the actions of the only environment without the batch."""

@@ -36,6 +36,14 @@ def benchmarks(folder: Path) -> dict[str, tuple[str, list[str]]]:
             ["experiments.benchmarks.rollout_speed", "--batch", *BATCHES, "--peer", "--start-up", "--population",
              "--out", str(folder / "rollout.csv")],
         ),
+        "roofline": (
+            "What a loop by hand reaches on this machine, and the kernel in the same run",
+            ["experiments.benchmarks.roofline", "--out", str(folder / "roofline.csv")],
+        ),
+        "delay_cost": (
+            "What random delays cost",
+            ["experiments.benchmarks.delay_cost", "--out", str(folder / "delay_cost.csv")],
+        ),
         "population": (
             "A population of models on both cores, against REX, which always uses them",
             ["experiments.benchmarks.rollout_speed", "--executors", "fused", "--batch", "64", "--peer", "--population",

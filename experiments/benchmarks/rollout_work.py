@@ -75,8 +75,9 @@ class PendulumAgent(Supervisor):
         return state, {"observation": torch.stack([torch.cos(angle), torch.sin(angle), speed], -1).flatten(1)}
 
 
-def make_graph() -> Graph:
-    """World, sensor, actuator and agent with random delays."""
+def make_graph(delays: bool = True) -> Graph:
+    """World, sensor, actuator and agent with random delays, or without any."""
+    sensing, actuation = (SENSING, ACTUATION) if delays else (0.0, 0.0)
     return Graph(
         [
             PendulumWorld(),
@@ -86,8 +87,8 @@ def make_graph() -> Graph:
         ],
         [
             Connection("world", "sensor"),
-            Connection("sensor", "agent", SENSING, window=WINDOW),
-            Connection("agent", "actuator", ACTUATION),
+            Connection("sensor", "agent", sensing, window=WINDOW),
+            Connection("agent", "actuator", actuation),
             Connection("actuator", "world", skip=True),
         ],
     )

@@ -80,6 +80,10 @@ class RuntimeState:
         base = timing.layout.step_base[timing.layout.supervisor]
         return timing.t_start[self.row, base + self.step] / timing.resolution
 
+    def first_readings(self) -> dict[str, np.ndarray]:
+        """Readings of the first environment by name, without the batch; not to be written into."""
+        return {name: value.cpu().numpy()[0] for name, value in self.readings.items()}
+
     def unpacked(self) -> "RuntimeState":
         """The state in the plain form, which the eager executor keeps."""
         if type(self) is RuntimeState:

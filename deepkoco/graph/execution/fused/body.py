@@ -56,6 +56,7 @@ class Body:
         self.shared: dict[str, Tensor] = {}
         self._known: dict[tuple[str, str], str] = {}
         self._early: dict[str, tuple[torch.dtype, str | None]] = {}
+        self._places: dict[str, str] = {}  # where the prologue leaves values
         self._count = 0
         self.bytes = 0
 
@@ -269,17 +270,21 @@ class Body:
             hoisted: reserves a place for a lane vector of the prologue and returns it [bytes per lane].
         """
         late = {name for line in self.lines for name in _NAME.findall(line)}
-        stores, loads = [], []
+        stores = []
         for name, (dtype, load) in self._early.items():
-            if name not in late:
-                continue
-            vector = VECTORS[dtype]
-            if load is None:
-                place = f"H + {hoisted(dtype)} * W"
+            if name in late and load is None:
+                place = self._places[name] = f"H + {hoisted(dtype)} * W"
                 stores.append(f"st({place}, 0, {name});")
-                load = f"ld<{vector}>({place}, 0)"
-            loads.append(f"const {vector} {name} = {load};")
-        return self._parameter_loads() + self.prologue + stores, loads + self.lines
+        return self._parameter_loads() + self.prologue + stores, self.loads() + self.lines
+
+    def loads(self) -> list[str]:
+        """Statements that stand before the others once the body is finished: what is known before the first step."""
+        late = {name for line in self.lines for name in _NAME.findall(line)}
+        return [
+            f"const {VECTORS[dtype]} {name} = {load or f'ld<{VECTORS[dtype]}>({self._places[name]}, 0)'};"
+            for name, (dtype, load) in self._early.items()
+            if name in late
+        ]
 
     def _parameter_loads(self) -> list[str]:
         needed = {name for line in self.prologue for name in _NAME.findall(line)}

@@ -15,6 +15,8 @@ from deepkoco.graph.execution.executor import NotCompiledError
 FLAGS = (
     "-std=c++17",
     "-O2",
+    "-fschedule-insns",
+    "-fsched-pressure",
     "-fopenmp-simd",
     "-march=native",
     "-fno-math-errno",

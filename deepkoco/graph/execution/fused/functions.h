@@ -1,8 +1,12 @@
 // Elementary functions of lane vectors.
 //
 // Sine, cosine, exponential and their relatives: the argument is reduced to a small interval with a constant
-// split into parts, so that the difference is exact, and a Taylor polynomial is taken there that ends below
-// the last bit. NaN and infinity go through as in the C library.
+// split into parts, so that the difference is exact, and a polynomial is taken there that ends below the last bit:
+// the minimax one of the relative error (Remez) or the Taylor series. NaN and infinity go through as in the C library.
+//
+// Largest errors over the whole range, in units of the last place of the result; test_functions.py checks them:
+//   exp, log, sin, cos 2; expm1, tanh 3. A sine or cosine below 2^-12 (float32) or 2^-38 (float64) has the error of one
+//   of that size; beyond 8192 rad (1e6) they are those of the C library.
 
 template <class V, class G> INLINE V each(V a, G g) {
   typename Of<V>::T t[W];
@@ -11,6 +15,8 @@ template <class V, class G> INLINE V each(V a, G g) {
   memcpy(&a, t, sizeof t);
   return a;
 }
+// The same as a call, for what nearly never happens: a body with the code in it has fewer registers for the rest.
+template <class V, class G> static __attribute__((noinline, cold)) V rarely(V a, G g) { return each(a, g); }
 template <class V, class G> INLINE V each2(V a, V b, G g) {
   typename Of<V>::T t[W], s[W];
   memcpy(t, &a, sizeof t);
@@ -20,6 +26,24 @@ template <class V, class G> INLINE V each2(V a, V b, G g) {
   return a;
 }
 
+// The larger and the smaller of a number and a bound, which is not NaN; NaN stays.
+#if W == 1
+template <class V> INLINE V at_least(V a, V bound) { return a < bound ? bound : a; }
+template <class V> INLINE V at_most(V a, V bound) { return bound < a ? bound : a; }
+#else
+template <class V> INLINE V at_least(V a, V bound) { return sel(lt(a, bound), bound, a); }
+template <class V> INLINE V at_most(V a, V bound) { return sel(lt(bound, a), bound, a); }
+// One instruction of x86 each. It returns the second operand if either is NaN.
+#if defined(__AVX512F__) && defined(__GNUC__) && !defined(__clang__)
+#if W == 16
+INLINE VF at_least(VF a, VF bound) { return __builtin_ia32_maxps512_mask(bound, a, a, -1, 4); }
+INLINE VF at_most(VF a, VF bound) { return __builtin_ia32_minps512_mask(bound, a, a, -1, 4); }
+#elif W == 8
+INLINE VD at_least(VD a, VD bound) { return __builtin_ia32_maxpd512_mask(bound, a, a, -1, 4); }
+INLINE VD at_most(VD a, VD bound) { return __builtin_ia32_minpd512_mask(bound, a, a, -1, 4); }
+#endif
+#endif
+#endif
 template <class V> INLINE V max_(V a, V b) { return sel(lt(b, a) | ne(a, a), a, b); } // NaN of either
 template <class V> INLINE V min_(V a, V b) { return sel(lt(a, b) | ne(a, a), a, b); }
 INLINE VB max_(VB a, VB b) { return a | b; }
@@ -43,12 +67,12 @@ template <class V> struct Limits;
 template <> struct Limits<VF> {
   static constexpr float whole = 8388608.0f; // from here on every number is whole
   static constexpr float shift = 12582912.0f; // added to a small number, leaves it rounded in the last bits
-  static constexpr float turns = 8192.0f;    // largest angle whose reduction is exact to the last bits [rad]
+  static constexpr float turns = 2608;       // half turns of the largest angle whose reduction is exact to the last bits
 };
 template <> struct Limits<VD> {
   static constexpr double whole = 4503599627370496.0;
   static constexpr double shift = 6755399441055744.0;
-  static constexpr double turns = 1e6;
+  static constexpr double turns = 318310;
 };
 template <class V> INLINE V whole_number(V a) { return (a + Limits<V>::shift) - Limits<V>::shift; } // if small
 template <class V> INLINE V rint_(V a) { // to the nearest, halves to even
@@ -117,62 +141,102 @@ template <class V, class T, int N> INLINE V horner(V x, const T (&c)[N]) {
   for (int i = 1; i < N; i++) r = r * x + c[i];
   return r;
 }
-INLINE VF sine_series(VF x) { // |x| <= pi / 2
-  static constexpr float c[] = {1.0f / 6227020800, -1.0f / 39916800, 1.0f / 362880,
-                                -1.0f / 5040,      1.0f / 120,       -1.0f / 6};
+INLINE VF sine_series(VF x) { // |x| <= pi / 2, relative error 6e-9
+  static constexpr float c[] = {2.60575023e-6f, -1.98095899e-4f, 8.33306608e-3f, -0.166666595f};
   const VF y = x * x;
   return x + x * y * horner(y, c);
 }
-INLINE VD sine_series(VD x) {
-  static constexpr double c[] = {-1.0 / 25852016738884976640000.0, 1.0 / 51090942171709440000.0,
-                                 -1.0 / 121645100408832000.0,      1.0 / 355687428096000.0,
-                                 -1.0 / 1307674368000.0,           1.0 / 6227020800.0,
-                                 -1.0 / 39916800,                  1.0 / 362880,
-                                 -1.0 / 5040,                      1.0 / 120,
-                                 -1.0 / 6};
+INLINE VD sine_series(VD x) { // 3e-19
+  static constexpr double c[] = {2.721156935001328160575595e-15, -7.642989812822608158976958e-13,
+                                 1.605893964290637835670309e-10, -2.505210687157898022255188e-8,
+                                 2.755731921112425830312775e-6 , -1.984126984120914536327981e-4,
+                                 8.333333333333194108708506e-3,  -0.1666666666666666556779192};
   const VD y = x * x;
   return x + x * y * horner(y, c);
 }
+#if defined(__FMA__) || defined(__ARM_FEATURE_FMA)
+// A product and a difference are rounded together, so that two parts of pi are enough: the first difference is exact.
+INLINE VF reduced(VF a, VF q) { return (a - q * 0x1.921fb6p+1f) + q * 0x1.777a5cp-24f; }
+INLINE VD reduced(VD a, VD q) { return (a - q * 0x1.921fb54442d18p+1) - q * 0x1.1a62633145c07p-53; }
+#else
 // pi in three parts; the first ones have zeros at the end, so that their products with a number of half turns
 // are exact.
 INLINE VF reduced(VF a, VF q) { return ((a - q * 0x1.92p+1f) - q * 0x1.fb4p-11f) - q * 0x1.4442d2p-23f; }
 INLINE VD reduced(VD a, VD q) {
   return ((a - q * 0x1.921fb544p+1) - q * 0x1.0b4611a6p-33) - q * 0x1.3198a2e037073p-68;
 }
+#endif
 INLINE VF odd_sign(VF shifted) { return from_bits<VF>(bits(shifted) << 31); } // -0 for odd numbers
 INLINE VD odd_sign(VD shifted) { return from_bits<VD>(bits(shifted) << 63); }
 template <class V> INLINE V flip(V a, V sign) { return from_bits<V>(bits(a) ^ bits(sign)); }
+template <class V> INLINE bool too_many(V squares) {
+  constexpr typename Of<V>::T most = Limits<V>::turns;
+  return __builtin_expect(any_from(squares, splat<V>(most * most)), 0);
+}
+// What is done about angles whose half turns are too many in any lane, or not a number.
+//
+// `Far` looks at each at once. `FarLater` adds their squares up, so that a body has no branches and its statements can be
+// mixed with those of others; if there are any, the body runs again with `FarApart`, which looks at each behind a call.
+// The compiler rounds a product and a sum together where no branch is between them, so these two give the same bits.
+struct Far {};
+struct FarApart {};
+struct FarLater {
+  VF single{};
+  VD twofold{};
+  INLINE_MEMBER void add(VF turns) { single += turns * turns; }
+  INLINE_MEMBER void add(VD turns) { twofold += turns * turns; }
+  INLINE_MEMBER bool found() const { return too_many(single) | too_many(twofold); }
+};
+template <class V, class G> INLINE V unless_far(V turns, V a, V near, Far, G exact) {
+  return too_many(turns * turns) ? rarely(a, exact) : near;
+}
+template <class V, class G>
+static __attribute__((noinline, cold)) V unless_far(V turns, V a, V near, FarApart, G exact) {
+  typename Of<V>::T n[W], x[W], y[W];
+  memcpy(n, &turns, sizeof n);
+  memcpy(x, &a, sizeof x);
+  memcpy(y, &near, sizeof y);
+  for (int l = 0; l < W; l++)
+    if (!(n[l] * n[l] < Limits<V>::turns * Limits<V>::turns)) y[l] = exact(x[l]);
+  memcpy(&near, y, sizeof y);
+  return near;
+}
+template <class V, class G> INLINE V unless_far(V turns, V, V near, FarLater &far, G) {
+  far.add(turns);
+  return near;
+}
 // sin(r + n pi) = (-1)^n sin(r)
-template <class V> INLINE V sin_(V a) {
+template <class V, class F> INLINE V sin_(V a, F &far) {
   typedef typename Of<V>::T T;
-  if (any(~lt(abs_(a), splat<V>(Limits<V>::turns)))) return each(a, [](T x) { return std::sin(x); });
-  const V shifted = a * T(0.31830988618379067154) + Limits<V>::shift;
-  return flip(sine_series(reduced(a, shifted - Limits<V>::shift)), odd_sign(shifted));
+  const V shifted = a * T(0.31830988618379067154) + Limits<V>::shift, n = shifted - Limits<V>::shift;
+  const V near = flip(sine_series(reduced(a, n)), odd_sign(shifted));
+  return unless_far(n, a, near, far, [](T x) { return std::sin(x); });
 }
 // cos(r + (n + 1/2) pi) = -(-1)^n sin(r)
-template <class V> INLINE V cos_(V a) {
+template <class V, class F> INLINE V cos_(V a, F &far) {
   typedef typename Of<V>::T T;
-  if (any(~lt(abs_(a), splat<V>(Limits<V>::turns)))) return each(a, [](T x) { return std::cos(x); });
-  const V shifted = (a * T(0.31830988618379067154) - T(0.5)) + Limits<V>::shift;
-  const V r = reduced(a, (shifted - Limits<V>::shift) + T(0.5));
-  return flip(sine_series(-r), odd_sign(shifted));
+  const V shifted = (a * T(0.31830988618379067154) - T(0.5)) + Limits<V>::shift, n = shifted - Limits<V>::shift;
+  const V near = flip(sine_series(-reduced(a, n + T(0.5))), odd_sign(shifted));
+  return unless_far(n, a, near, far, [](T x) { return std::cos(x); });
 }
 
 // e^r - 1 for |r| <= ln(2) / 2
-INLINE VF small_exponential(VF r) {
-  static constexpr float c[] = {1.0f / 5040, 1.0f / 720, 1.0f / 120, 1.0f / 24, 1.0f / 6, 0.5f};
+INLINE VF small_exponential(VF r) { // relative error 1.3e-8
+  static constexpr float c[] = {1.3882511e-3f, 8.36658033e-3f, 4.16672018e-2f, 0.166665432f, 0.499999981f};
   return r + r * r * horner(r, c);
 }
-INLINE VD small_exponential(VD r) {
-  static constexpr double c[] = {1.0 / 6227020800, 1.0 / 479001600, 1.0 / 39916800, 1.0 / 3628800,
-                                 1.0 / 362880,     1.0 / 40320,     1.0 / 5040,     1.0 / 720,
-                                 1.0 / 120,        1.0 / 24,        1.0 / 6,        0.5};
+INLINE VD small_exponential(VD r) { // 1.8e-17
+  static constexpr double c[] = {2.505377259897113797132e-8, 2.762616143941327630891e-7, 2.755740787588812212847e-6,
+                                 2.480150497882513029773e-5, 1.984126971833148506511e-4, 1.388888893179506405812e-3,
+                                 8.333333333389962839713e-3, 4.166666666657610835056e-2, 0.1666666666666658857561,
+                                 0.500000000000000522581};
   return r + r * r * horner(r, c);
 }
 INLINE VF power_of_two(VF n) { return from_bits<VF>((cvt<VI>(n) + 127) << 23); }
 INLINE VD power_of_two(VD n) { return from_bits<VD>((cvt<VL>(n) + 1023) << 52); }
 INLINE VF without_powers(VF a, VF n) { return (a - n * 0x1.62ep-1f) - n * 0x1.0bfbe8p-15f; }
 INLINE VD without_powers(VD a, VD n) { return (a - n * 0x1.62e42fef8p-1) - n * 0x1.1cf79abc9e3b4p-36; }
+// Beyond `high` and `low` the exponential is infinite and 0, beyond `one` the hyperbolic tangent is 1.
 template <class V> struct Exponential;
 template <> struct Exponential<VF> { static constexpr float high = 88.8f, low = -104.0f, one = 9.1f; };
 template <> struct Exponential<VD> { static constexpr double high = 709.9, low = -746.0, one = 19.1; };
@@ -194,13 +258,24 @@ template <class V> INLINE V expm1_(V a) {
   const V r = scale * small_exponential(without_powers(x, n)) + (scale - 1);
   return sel(lt(abs_(a), limit), r, exp_(a) - 1);
 }
-template <class V> INLINE V tanh_(V a) {
-  typedef typename Of<V>::T T;
-  const V limit = splat<V>(Exponential<V>::one), size = abs_(a);
-  const V x = 2 * sel(lt(size, limit), size, limit);
-  const V n = whole_number(x * T(1.4426950408889634));
-  const V scale = power_of_two(n);
-  const V e = scale * small_exponential(without_powers(x, n)) + (scale - 1);
+// (e^2x - 1) / (e^2x + 1) from h = (e^2x - 1) / 2, where x = n ln(2) / 2 + r. One part of ln(2) is enough: what its
+// error does to e^2x lies below the last bit of the result. The result for -0 is 0.
+INLINE VF tanh_(VF a) {
+  static constexpr float c[] = {0.0444240351f, 0.133865285f, 0.333337614f, 0.666661727f, 0.999999963f}; // 1.3e-8
+  const VF limit = splat<VF>(Exponential<VF>::one), x = at_most(at_least(a, -limit), limit);
+  constexpr float shift = Limits<VF>::shift + 127; // leaves the exponent of 2^n in the last bits
+  const VF shifted = x * 2.88539008f + shift;
+  const VF r = x - (shifted - shift) * 0.346573591f;
+  const VF scale = from_bits<VF>(bits(shifted) << 23);
+  const VF h = scale * (r + r * r * horner(r, c)) + (scale * 0.5f - 0.5f);
+  return h / (h + 1);
+}
+INLINE VD tanh_(VD a) {
+  const VD limit = splat<VD>(Exponential<VD>::one), size = abs_(a);
+  const VD x = 2 * sel(lt(size, limit), size, limit);
+  const VD n = whole_number(x * 1.4426950408889634);
+  const VD scale = power_of_two(n);
+  const VD e = scale * small_exponential(without_powers(x, n)) + (scale - 1);
   return sel(ne(a, a), a, with_sign(e / (e + 2), a));
 }
 INLINE VF logarithm_series(VF y) {

@@ -43,7 +43,7 @@ class RolloutCall(ctypes.Structure):
 
     _fields_ = (
         [(name, ctypes.c_int64) for name in ("steps", "first", "last", "looks")]
-        + [(name, ctypes.c_void_p) for name in ("policy", "weights", "actions")]
+        + [(name, ctypes.c_void_p) for name in ("policy", "policies", "weights", "actions")]
         + [(name, ctypes.c_int64) for name in ("action_time", "action_environment")]
         + [("out_actions", ctypes.c_void_p), ("outputs", ctypes.c_int64)]
         + [(n, ctypes.c_void_p) for n in ("reading_offset", "reading_count", "reading_size", "out_readings")]
@@ -89,6 +89,7 @@ class Binding:
         rings: by node name.
         readings: where a moving record of one lane has the supervisor's readings.
         fixed_size, moving_size: of the records [bytes per lane].
+        alone: name, type, shape and offset [bytes] of each reading if there is one environment in one lane.
         model: pointer to the tables.
         spare: memory of tapes that are no longer needed.
     """
@@ -168,6 +169,11 @@ class Binding:
             name: Field(field.dtype, field.shape, field.offset + source.reading_start)
             for name, field in source.readings.items()
         }
+        self.alone = [
+            (name, np.dtype(NUMPY[field.dtype]), field.shape, field.offset)
+            for name, field in self.readings.items()
+            if batch == kernel.lanes == 1
+        ]
         self.input_names = tuple(str(c.name) for c in graph.inputs_of(graph.supervisor))
         self.action_type, self.action_shape = dtype, (batch, *shape)
 

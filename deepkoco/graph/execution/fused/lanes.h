@@ -11,6 +11,13 @@ typedef uint8_t u8;
 #define INLINE static INLINE_MEMBER
 #define SPECIAL template <> INLINE_MEMBER
 
+// Has the compiler keep a vector that is used several times in a register, where it would load it again each time.
+#if defined(__AVX512F__) && W == 16
+#define IN_REGISTER(v) asm("" : "+v"(v))
+#else
+#define IN_REGISTER(v)
+#endif
+
 #if W == 1
 #define LOOP _Pragma("omp simd") // the machine's vectors go over elements instead of environments
 typedef float VF;
@@ -134,6 +141,13 @@ INLINE bool any(VB a) {
   return r != 0;
 #endif
 }
+// Whether a number of any lane is not below a limit.
+template <class V> INLINE bool any_from(V a, V limit) { return any(~lt(a, limit)); }
+#if W == 16 && defined(__AVX512F__) && defined(__GNUC__) && !defined(__clang__)
+INLINE bool any_from(VF a, VF limit) { return __builtin_ia32_cmpps512_mask(a, limit, 5, -1, 4); }
+#elif W == 8 && defined(__AVX512F__) && defined(__GNUC__) && !defined(__clang__)
+INLINE bool any_from(VD a, VD limit) { return __builtin_ia32_cmppd512_mask(a, limit, 5, -1, 4); }
+#endif
 
 template <class V> struct Lane { typedef typename Of<V>::T T; };
 template <> struct Lane<VB> { typedef i32 T; };
@@ -162,11 +176,43 @@ INLINE VL within(VL index, i64 size) {
   return sel(lt(last, index), last, index);
 }
 
+// Row vectors of K lane vectors of several blocks times a (K, N) matrix of shared numbers with strides R and C. A number
+// that is loaded once serves all blocks.
+template <int K, int N, int R, int C, class V, class T, int BLOCKS>
+static void matvecs(const V (*x)[BLOCKS], const T *w, const V (*bias)[BLOCKS], V (*out)[BLOCKS]) {
+  constexpr int most = BLOCKS == 1 ? 8 : 16 / BLOCKS, tile = N < most ? N : most; // sums, which stay in registers
+  for (int first = 0; first < N; first += tile) {
+    V sum[tile][BLOCKS];
+    const int n0 = first + tile <= N ? first : N - tile; // the last tile may repeat some columns
+#pragma GCC unroll 16
+    for (int j = 0; j < tile; j++)
+#pragma GCC unroll 4
+      for (int b = 0; b < BLOCKS; b++) sum[j][b] = bias ? bias[n0 + j][b] : splat<V>(0);
+    for (int k = 0; k < K; k++) {
+      V own[BLOCKS];
+#pragma GCC unroll 4
+      for (int b = 0; b < BLOCKS; b++) {
+        own[b] = x[k][b];
+        IN_REGISTER(own[b]);
+      }
+#pragma GCC unroll 16
+      for (int j = 0; j < tile; j++) {
+        const T number = w[k * R + (n0 + j) * C];
+#pragma GCC unroll 4
+        for (int b = 0; b < BLOCKS; b++) sum[j][b] += own[b] * number;
+      }
+    }
+#pragma GCC unroll 16
+    for (int j = 0; j < tile; j++)
+#pragma GCC unroll 4
+      for (int b = 0; b < BLOCKS; b++) out[n0 + j][b] = sum[j][b];
+  }
+}
 // Row vector of K lane vectors times a (K, N) matrix of shared numbers with strides R and C.
 template <int K, int N, int R, int C, class V, class T>
 static void matvec(const V *x, const T *w, const V *bias, V *out) {
-  const V zero = splat<V>(0);
 #if W == 1
+  const V zero = splat<V>(0);
   // One environment: the lanes of the machine's vectors are columns of the matrix.
   const int P = 64 / sizeof(T);
   typedef T Row __attribute__((vector_size(64)));
@@ -204,19 +250,6 @@ static void matvec(const V *x, const T *w, const V *bias, V *out) {
     out[n] = sum;
   }
 #else
-  const int tile = N < 8 ? N : 8;
-  for (int first = 0; first < N; first += tile) {
-    V sum[tile];
-    const int n0 = first + tile <= N ? first : N - tile; // the last tile may repeat some columns
-#pragma GCC unroll 16
-    for (int j = 0; j < tile; j++) sum[j] = bias ? bias[n0 + j] : zero;
-    for (int k = 0; k < K; k++) {
-      const V own = x[k];
-#pragma GCC unroll 16
-      for (int j = 0; j < tile; j++) sum[j] += own * w[k * R + (n0 + j) * C];
-    }
-#pragma GCC unroll 16
-    for (int j = 0; j < tile; j++) out[n0 + j] = sum[j];
-  }
+  matvecs<K, N, R, C, V, T, 1>((const V(*)[1])x, w, (const V(*)[1])bias, (V(*)[1])out);
 #endif
 }

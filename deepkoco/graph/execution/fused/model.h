@@ -35,12 +35,30 @@ struct View { // what a node sees
   VD times[1 + 2 * PLACES];
   char stage[STAGE * W];
 };
+struct Call { // what a body is given, for up to SIDE blocks
+  const char *P[SIDE], *H[SIDE], *S[SIDE], *const *X[SIDE];
+  const VL *Q[SIDE];
+  const VD *T[SIDE];
+  const char *A[SIDE];
+  char *S2[SIDE], *Y[SIDE];
+  i64 count; // the others repeat the first
+
+  INLINE_MEMBER void set(i64 k, const char *p, const char *h, const char *s, const char *const *x, const View &v,
+                         char *s2, char *y, const char *action = nullptr) {
+    P[k] = p, H[k] = h, S[k] = s, X[k] = x, Q[k] = v.seq, T[k] = v.times, A[k] = action, S2[k] = s2, Y[k] = y;
+  }
+  INLINE_MEMBER void repeat(i64 k) {
+    P[k] = *P, H[k] = *H, S[k] = *S, X[k] = *X, Q[k] = *Q, T[k] = *T, A[k] = *A, S2[k] = *S2, Y[k] = *Y;
+  }
+};
 typedef void (*Policy)(const char *weights, const char *R, const char *const *X, const VL *Q, const VD *T, char *Y);
+typedef void (*Policies)(const char *weights, const char *const *R, char *const *Y); // of four blocks
 
 struct Rollout {
   i64 steps, first, last; // steps to take, blocks
   i64 looks;              // whether the policy sees the inputs
   Policy policy;          // or null: actions are given
+  Policies policies;      // or null: blocks are asked one by one
   const char *weights, *actions;
   i64 action_time, action_environment; // strides of the given actions [bytes]
   char *out_actions;                   // (steps, B, M) or null
@@ -50,9 +68,12 @@ struct Rollout {
 };
 
 struct Block {
-  const Model &m;
+  const Model *m;
   const char *fixed;
   char *moving;
-  i32 row[W], step[W];
-  bool uniform; // all lanes are at the same step of the same schedule
+  i32 environment[W], row[W], step[W];
+  const char *runs[W]; // in the table of slots, the step at which each lane is
+  const i32 *seen[W];  // in the table of windows, the schedule of each lane
+  bool level;   // all lanes are at the same step
+  bool uniform; // and have the same schedule
 };

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from deepkoco.graph.execution.fused.body import Body
 from deepkoco.graph.execution.fused.lowered import (
+    MOST_STACK,
     check_stack,
     header_text,
     load_tensor,
@@ -17,6 +18,7 @@ from deepkoco.graph.execution.fused.lowered import (
     seen_messages,
     store_tensor,
 )
+from deepkoco.graph.execution.fused.mixed import SIDE_BY_SIDE, mixed_policy
 from deepkoco.graph.execution.fused.pool import Pool
 from deepkoco.graph.execution.fused.record import Field, Spec
 from deepkoco.graph.execution.fused.trace import Trace, TraceError
@@ -33,12 +35,14 @@ class PolicySource:
         order: parameters in the order of the pool, and whether each is packed transposed.
         constants: large constants, packed behind the parameters.
         uses: names of the trace's inputs that it reads.
+        side_by_side: whether there is a function for several blocks at once.
     """
 
     text: str
     order: tuple[tuple[str, bool], ...]
     constants: np.ndarray
     uses: set[str]
+    side_by_side: bool
 
     def pool(self, parameters: Mapping[str, Tensor]) -> tuple[np.ndarray, dict[str, Tensor]]:
         """The parameters as the kernel reads them, and views by name into which later ones are copied."""
@@ -95,6 +99,20 @@ def policy_source(
     assert not early, "a policy has no parameters of single environments"
     behind = Pool(size=pool.size)
     heads += pool_lines(body, behind, "weights")
+    # Those that see the inputs are asked block by block: each has messages of its own.
+    side_by_side = lanes > 1 and not any(name == "t_start" or name.startswith("i.") for name in uses)
+    side_by_side = side_by_side and SIDE_BY_SIDE * lanes * body.bytes <= MOST_STACK
+    mixed = mixed_policy(lines, SIDE_BY_SIDE) if side_by_side else None
+    copies = range(SIDE_BY_SIDE)
+    together = [
+        'extern "C" void policies(const char *weights, const char *const *R, char *const *Y) {',
+        *(f"  const char *const R_{k} = R[{k}];" for k in copies),
+        *(f"  char *const Y_{k} = Y[{k}];" for k in copies),
+        *(f"  Far far_{k};" for k in copies),
+        *(f"  {line}" for line in heads),
+        *(mixed or []),
+        "}",
+    ]
     text = "\n".join(
         [
             f"#define W {lanes}",
@@ -103,9 +121,10 @@ def policy_source(
             f"static const int PLACES = {max(1, sum(c.window for c in graph.inputs_of(graph.supervisor)))};",
             'extern "C" void policy(const char *weights, const char *R, const char *const *X, const VL *Q, '
             "const VD *T, char *Y) {",
-            *(f"  {line}" for line in heads + lines),
+            *(f"  {line}" for line in ["Far far;", *heads, *lines]),
             "}",
+            *(together if mixed is not None else []),
             "",
         ]
     )
-    return PolicySource(text, tuple(order), behind.join(), uses)
+    return PolicySource(text, tuple(order), behind.join(), uses, mixed is not None)

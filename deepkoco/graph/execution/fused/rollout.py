@@ -51,7 +51,9 @@ class CompiledPolicy:
         self.source = policy_source(graph, trace, readings, specs[graph.supervisor], kernel.lanes)
         self._weights, self._views = self.source.pool(parameters)
         self._library = load(self.source.text)
-        self.address = ctypes.cast(self._library.policy, ctypes.c_void_p).value
+        names = ["policy", "policies"][: 1 + self.source.side_by_side]
+        pointers = [ctypes.cast(getattr(self._library, name), ctypes.c_void_p).value for name in names]
+        self.address, self.side_by_side = pointers if len(pointers) > 1 else (*pointers, None)
         self.looks = any(name == "t_start" or name.startswith("i.") for name in self.source.uses)
 
     @torch.no_grad()
@@ -83,7 +85,8 @@ def run_rollout(
         call.out_actions = taken["action"].data_ptr()
     if policy is not None:
         assert weights is not None
-        call.policy, call.weights, call.looks = policy.address, address(weights), policy.looks
+        call.policy, call.policies, call.weights = policy.address, policy.side_by_side, address(weights)
+        call.looks = policy.looks
     spent = over_blocks(
         binding,
         threads,

@@ -16,6 +16,7 @@ from deepkoco.graph.execution.fused.lowered import (
     seen_messages,
     store_tensor,
 )
+from deepkoco.graph.execution.fused.mixed import SIDE_BY_SIDE, mixed_body, mixes
 from deepkoco.graph.execution.fused.pool import Pool
 from deepkoco.graph.execution.fused.program import Program
 from deepkoco.graph.execution.fused.record import Field, Spec, lay_out
@@ -27,6 +28,13 @@ _ARGUMENTS = (
     "const char *P, const char *H, const char *S, const char *const *X, const VL *Q, const VD *T, "
     "const char *A, char *S2, char *Y, const char *K"
 )
+
+
+MOST_IN_FLIGHT = 8
+"""Blocks that a rollout works on in turns, if they are small."""
+
+CACHE = 1 << 15
+"""Bytes that these blocks may take together, the size of a first-level cache."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +98,7 @@ def kernel_source(
     supervisor = by_name[graph.supervisor]
     readings, reading_size = lay_out(supervisor.readings)
     bodies = Bodies(graph, by_name, moving, state_start, fixed)
-    staged, uses, same = {}, {}, {}
+    staged, uses, same, together = {}, {}, {}, {}
     for index, (n, p) in enumerate(by_name.items()):
         staged[n], uses[n] = False, set()
         if p.trace is None:
@@ -110,7 +118,13 @@ def kernel_source(
             for key, place in own.items():
                 if outputs[f"s.{key}"].array is None and outputs[f"s.{key}"] == outputs["output"]:
                     same[n] = place.offset - state_start[n]
-        bodies.add(f"body_{index}({_ARGUMENTS})", body)
+        mixed = mixes(body)
+        bodies.add(
+            f"{'exact' if mixed else 'body'}_{index}({_ARGUMENTS})", body, "FarApart" if mixed else "Far"
+        )
+        if mixed:
+            bodies.texts += mixed_body(body, f"body_{index}({_ARGUMENTS})", f"exact_{index}", 1)
+            together[index] = body
     behind = more(bodies) if more is not None else ""
     windows = [sum(c.window for c in graph.inputs_of(node.name)) for node in graph.nodes]
     sizes = {node.name: _bytes(by_name[node.name].output) for node in graph.nodes}
@@ -128,21 +142,40 @@ def kernel_source(
         "HOISTED": max(8, bodies.hoisted.size),
         "OBSERVES": int(supervisor.trace is not None),
     }
+    sizes_of_call = (
+        fixed_size,
+        end,
+        reading_size,
+        *(defines[n] for n in ("HOISTED", "STAGE", "OUTPUT", "STATE")),
+    )
+    defines["GROUP"] = group = _in_flight(lanes * sum(sizes_of_call))
+    defines["SIDE"] = side = SIDE_BY_SIDE if group >= SIDE_BY_SIDE else 1
+    for name, buffers in dict(ACTION=group, HOISTED=group, STAGE=side, STATE=side, OUTPUT=side).items():
+        bodies.buffers[name] = max(bodies.buffers.get(name, 0), buffers)
     defines |= bodies.defines
     check_stack(lanes * (bodies.deepest + sum(n * defines[name] for name, n in bodies.buffers.items())))
+    several: list[str] = []
+    for i, body in together.items() if side > 1 else ():
+        several += mixed_body(body, f"mixed_{i}(const Call &c, const char *K)", f"exact_{i}", side)
+    mixed_table = ", ".join(
+        f"mixed_{i}" if i in together and side > 1 else "nullptr" for i in range(len(programs))
+    )
     text = "\n".join(
         [
             f"#define W {lanes}",
             header_text("lanes.h"),
             header_text("functions.h"),
             *(f"#define {name} {number}" for name, number in defines.items()),
+            header_text("model.h"),
             *bodies.texts,
             f"typedef void (*Body)({_ARGUMENTS});",
             f"static const Body BODIES[] = {{{table}}};",
+            *several,
+            "typedef void (*Mixed)(const Call &c, const char *K);",
+            f"static const Mixed MIXED[] = {{{mixed_table}}};",
             "static void prologue(const char *P, char *H) {",
             *bodies.prologues,
             "}",
-            header_text("model.h"),
             header_text("driver.h"),
             behind,
         ]
@@ -198,19 +231,25 @@ class Bodies:
         self.defines: dict[str, int] = {}
         self.buffers: dict[str, int] = {n: 1 for n in ("STAGE", "STATE", "OUTPUT", "ACTION", "HOISTED")}
 
-    def add(self, head: str, body: Body) -> None:
-        """Append a finished body as a function with this name and these arguments."""
+    def add(self, head: str, body: Body, far: str = "Far") -> None:
+        """Append a finished body as a function with this name and these arguments.
+
+        Args:
+            head: name and arguments.
+            body: the statements.
+            far: what is done about angles that are too large for the fast sine, see `functions.h`.
+        """
         self.deepest = max(self.deepest, body.bytes)
         early, lines = body.finish(self.hoisted.place)
         self.add_prologue(body.name, early)
         self.texts += [f"static void {head} {{ // {body.name}"]
-        self.texts += [f"  {line}" for line in pool_lines(body, self.pool, "K")]
+        self.texts += [f"  {far} far;", *(f"  {line}" for line in pool_lines(body, self.pool, "K"))]
         self.texts += [f"  {line}" for line in lines] + ["}", ""]
 
     def add_prologue(self, name: str, lines: list[str]) -> None:
         """Append statements in a scope of their own to the prologue."""
         if lines:
-            self.prologues += [f"  {{ // {name}", *(f"    {line}" for line in lines), "  }"]
+            self.prologues += [f"  {{ // {name}", "    Far far;", *(f"    {line}" for line in lines), "  }"]
 
     def states_of(self, name: str) -> dict[str, Field]:
         """Where the moving states of a node lie."""
@@ -246,6 +285,11 @@ class Hoisted:
         start = self.size
         self.size += 8
         return start
+
+
+def _in_flight(size: int) -> int:
+    """How many blocks of a size [bytes] are worked on in turns: as many as stay in the cache."""
+    return max(1, min(MOST_IN_FLIGHT, CACHE // size))
 
 
 def _bytes(kind: Spec) -> int:

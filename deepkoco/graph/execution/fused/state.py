@@ -160,6 +160,15 @@ class FusedState(RuntimeState):
     def readings(self) -> Mapping[str, Tensor]:
         return Readings(self)
 
+    def first_readings(self) -> dict[str, np.ndarray]:
+        if not self.binding.alone or self.leaves:
+            return super().first_readings()
+        # Three times faster than by way of tensors, which is as long as a step takes.
+        own = self.moving.view(np.uint8)
+        return {
+            name: np.ndarray(shape, kind, own, offset) for name, kind, shape, offset in self.binding.alone
+        }
+
     def reading(self, name: str) -> Tensor:
         """One reading, (B, ...)."""
         if self.leaves and ("r", name) in self.leaves:

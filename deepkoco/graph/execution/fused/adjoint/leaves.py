@@ -6,6 +6,7 @@ Leaves are states ("s", node, name), last outputs ("o", node), oldest first, and
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -168,11 +169,19 @@ def _history(state: FusedState, layout: Layout, records: Records, name: str) -> 
     return every[torch.arange(len(places))[:, None], torch.from_numpy(places)]
 
 
+_REQUIRES_GRAD = attrgetter("requires_grad")
+
+
 def wants_gradients(state: RuntimeState, *more: Tensor | None) -> bool:
     """Whether a gradient is wanted with respect to anything in a state, or to further tensors."""
     if not torch.is_grad_enabled():
         return False
-    if any(value is not None and value.requires_grad for value in more) or _any(state.parameters.values()):
+    for value in more:
+        if value is not None and value.requires_grad:
+            return True
+    # A state of this executor has its parameters in one list; asking each one in Python takes as long as a step.
+    own = getattr(state, "changing", None)
+    if any(map(_REQUIRES_GRAD, own)) if own is not None else _any(state.parameters.values()):
         return True
     leaves = getattr(state, "leaves", None)
     if isinstance(leaves, LazyLeaves):

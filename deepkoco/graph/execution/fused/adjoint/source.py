@@ -192,7 +192,7 @@ def _early_back(bodies: Bodies, name: str, trace: Trace, starts: Mapping[Element
         _accumulate(body, f"PB + {place.offset} * W", value)
     bodies.deepest = max(bodies.deepest, body.bytes)
     lines = pool_lines(body, bodies.pool, "K") + body.lines
-    return [f"  {{ // {name}", *(f"    {line}" for line in lines), "  }"] if lines else []
+    return [f"  {{ // {name}", "    Far far;", *(f"    {line}" for line in lines), "  }"] if lines else []
 
 
 def _accumulate(body: Body, pointer: str, value: Value) -> None:

@@ -119,8 +119,10 @@ def _power(base: str, exponent: int, one: str) -> str:
 def _clamp(body: Body, call: Call, x: Value, low: Any = None, high: Any = None, **named: Any) -> Value:
     low, high = named.get("min", low), named.get("max", high)
     dtype = supported(call.outputs[0].example.dtype)
-    for bound, function in ((low, "max_"), (high, "min_")):
+    for bound, general, plain in ((low, "max_", "at_least"), (high, "min_", "at_most")):
         if bound is not None:
+            number = dtype.is_floating_point and not isinstance(bound, Value) and not math.isnan(bound)
+            function = plain if number else general
             other = as_value(body, bound, dtype)
             x = body.pointwise([x, other], dtype, lambda a, b, f=function: f"{f}({a}, {b})", dtype)
     return body.cast_value(x, dtype)
