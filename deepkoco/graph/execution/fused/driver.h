@@ -259,6 +259,7 @@ extern "C" i64 rollout(const Model *model, const char *fixed, const char *from, 
   View v;
   char H[HOISTED * W];
   char action[ACTION * W];
+  char *G = (char *)__builtin_alloca(r.signal_bytes * W);
   for (i64 block = r.first; block < r.last; block++) {
     const char *own = fixed + block * m.fixed_bytes;
     char *moving = to + block * m.moving_bytes;
@@ -270,7 +271,10 @@ extern "C" i64 rollout(const Model *model, const char *fixed, const char *from, 
     for (i64 t = 0; t < r.steps; t++) {
       if (r.policy) {
         if (r.looks) look(b, n, b.step, v);
-        r.policy(r.weights, moving + m.readings, v.data, v.seq, v.times, action);
+        for (i64 k = 0; k < r.signals; k++)
+          gather(environment, r.signal_from[k] + t * r.signal_time[k], r.signal_environment[k], r.signal_count[k],
+                 r.signal_size[k], G + r.signal_offset[k] * W);
+        r.policy(r.weights, moving + m.readings, v.data, v.seq, v.times, G, action);
       } else
         gather(environment, r.actions + t * r.action_time, r.action_environment, n.count, n.size, action);
       if (r.out_actions) scatter(environment, action, n.count, n.size, r.out_actions + t * m.batch * bytes);

@@ -35,7 +35,7 @@ struct View { // what a node sees
   VD times[1 + 2 * PLACES];
   char stage[STAGE * W];
 };
-typedef void (*Policy)(const char *weights, const char *R, const char *const *X, const VL *Q, const VD *T, char *Y);
+typedef void (*Policy)(const char *weights, const char *R, const char *const *X, const VL *Q, const VD *T, const char *G, char *Y);
 
 struct Rollout {
   i64 steps, first, last; // steps to take, blocks
@@ -47,6 +47,9 @@ struct Rollout {
   i64 outputs;                         // readings to record
   const i64 *reading_offset, *reading_count, *reading_size;
   char *const *out_readings; // (steps, B, ...) each
+  i64 signals, signal_bytes; // what the policy is shown beside the readings; of all of them in a record [bytes per lane]
+  const i64 *signal_offset, *signal_count, *signal_size, *signal_time, *signal_environment; // strides in bytes
+  const char *const *signal_from; // (steps, B or 1, ...) each
 };
 
 struct Block {
