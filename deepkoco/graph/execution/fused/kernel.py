@@ -48,7 +48,10 @@ class RolloutCall(ctypes.Structure):
         + [("out_actions", ctypes.c_void_p), ("outputs", ctypes.c_int64)]
         + [(n, ctypes.c_void_p) for n in ("reading_offset", "reading_count", "reading_size", "out_readings")]
         + [(name, ctypes.c_int64) for name in ("signals", "signal_bytes")]
-        + [(f"signal_{n}", ctypes.c_void_p) for n in ("offset", "count", "size", "time", "environment", "from")]
+        + [
+            (f"signal_{n}", ctypes.c_void_p)
+            for n in ("offset", "count", "size", "time", "environment", "from")
+        ]
     )
 
 
