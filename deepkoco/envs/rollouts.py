@@ -163,4 +163,6 @@ class PolicyRollouts:
         elif mode == AutoresetMode.DISABLED and ended.any():
             observation, _ = self.envs.reset(options={"reset_mask": ended})
         self._observation = observation
-        return Rollout(observations, np.concatenate([before, following[None]]), rewards, *ends, vain)
+        return Rollout(
+            observations, np.concatenate([before, following[None]]), rewards, ends[0], ends[1], vain
+        )
