@@ -26,7 +26,6 @@ from baselines.ppo.training import PpoTrainer
 from deepkoco.agent.collection import collect_episodes, cost_spread, episode_costs
 from deepkoco.agent.seeding import Purpose, derive_seed
 from deepkoco.agent.standing import Standing
-from deepkoco.envs.stable_baselines import StableBaselinesEnv
 from deepkoco.envs.task_factory import make_task_factory
 from deepkoco.output.whole_file import write_whole_text
 from deepkoco.runs.configs import CONFIGS
@@ -110,6 +109,8 @@ def train_theirs(seed: int, config: PpoConfig) -> tuple[dict[str, float], Curve]
             VecMonitor,
             VecNormalize,
         )
+
+        from deepkoco.envs.stable_baselines import StableBaselinesEnv
     except ImportError as error:
         raise ExperimentError(
             'stable-baselines3 is not installed; get it with pip install -e ".[bench]"'
