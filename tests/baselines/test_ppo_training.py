@@ -202,6 +202,20 @@ def test_a_damaged_model_is_refused(tmp_path):
         load_policy(tmp_path, 1)
 
 
+@pytest.mark.parametrize(
+    ("task", "distractors"),
+    [("deepkoco/Manipulator-v0", "none"), ("deepkoco/RodPendulumDelay-v0", "noise"), ("Pendulum-v1", "none")],
+)
+def test_any_vector_environment_is_learned_on(task, distractors, tmp_path):
+    make = make_task_factory(TaskConfig("any", task, kwargs={"max_episode_steps": 20}), distractors)
+    config = small(steps=20, total_episodes=4, reference_episodes=0)
+    last = PpoTrainer(make, config, 0, tmp_path).run()
+    assert last["steps"] == 80
+    assert last["updates"] == 2 * 4
+    assert np.isfinite(last["evaluation/cost"])
+    assert load_policy(tmp_path, 1).networks.observed.moments.count == 80
+
+
 def test_frames_are_refused(tmp_path):
     with pytest.raises(SpaceError, match="leave out observation=images"):
         PpoTrainer(make_pictures, small(), 0, tmp_path)
