@@ -55,7 +55,7 @@ def test_results_become_tables_and_curves(tmp_path):
     assert len(runs) == 4
     assert len(curves) == 8
     text = ppo_study.summary(runs).splitlines()
-    assert text[2].startswith("| ours, policy in the kernel | 160.0 [")
+    assert text[2].startswith("| ours | 160.0 [")
     assert "| 170.0 | 2 of 2 | 32 to 32 | 40 to 40 |" in text[2]
     assert "| 180.0 | 1 of 2 |" in text[3]
     assert len(ppo_study.draw(curves).axes) == 2

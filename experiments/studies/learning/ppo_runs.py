@@ -13,7 +13,8 @@ import json
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -125,6 +126,7 @@ def train_theirs(seed: int, config: PpoConfig) -> tuple[dict[str, float], Curve]
         "MlpPolicy", scaled, learning_rate=config.learning_rate, n_steps=config.steps, batch_size=config.minibatch,
         n_epochs=config.epochs, gamma=config.discount, gae_lambda=config.trace_decay, clip_range=config.ratio_clip,
         ent_coef=config.entropy_weight, vf_coef=config.value_weight, max_grad_norm=config.gradient_limit,
+        target_kl=config.divergence_limit,
         policy_kwargs={"net_arch": list(config.hidden), "log_std_init": config.log_sigma}, seed=seed, device="cpu",
         stats_window_size=config.evaluation_every,
     )  # fmt: skip
@@ -153,7 +155,26 @@ def train_theirs(seed: int, config: PpoConfig) -> tuple[dict[str, float], Curve]
     return _final(float(last.mean()), cost_spread(last), config.total_episodes), curve
 
 
-METHODS = {"ours": train_ours, "stable_baselines3": train_theirs}
+@dataclass(frozen=True)
+class Method:
+    """What is trained.
+
+    Attributes:
+        train: From a seed and settings to the final evaluation and all evaluations.
+        changes: Of the settings.
+    """
+
+    train: Callable[[int, PpoConfig], tuple[dict[str, float], Curve]]
+    changes: Mapping[str, Any] = field(default_factory=dict)
+
+
+WITHOUT_LIMIT = {"divergence_limit": None}
+METHODS = {
+    "ours": Method(train_ours),
+    "stable_baselines3": Method(train_theirs),
+    "ours_without_limit": Method(train_ours, WITHOUT_LIMIT),
+    "stable_baselines3_without_limit": Method(train_theirs, WITHOUT_LIMIT),
+}
 
 
 def _point(episodes: float, training: float, evaluation: float) -> dict[str, float]:
@@ -178,7 +199,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     args = parser.parse_args(arguments)
     torch.set_num_threads(1)
     try:
-        final, curve = METHODS[args.method](args.seed, make_config())
+        method = METHODS[args.method]
+        final, curve = method.train(args.seed, make_config(**method.changes))
     except ExperimentError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

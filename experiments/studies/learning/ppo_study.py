@@ -30,8 +30,18 @@ from deepkoco.runs.settings import ExperimentError
 from experiments.plumbing.provenance import as_markdown, provenance
 from experiments.studies.learning.ppo_runs import METHODS
 
-LABELS = {"ours": "ours, policy in the kernel", "stable_baselines3": "Stable-Baselines3"}
-COLOURS = {"ours": "#0072B2", "stable_baselines3": "#D55E00"}
+LABELS = {
+    "ours": "ours",
+    "stable_baselines3": "Stable-Baselines3",
+    "ours_without_limit": "ours, without a limit of the divergence",
+    "stable_baselines3_without_limit": "Stable-Baselines3, without that limit",
+}
+COLOURS = {
+    "ours": "#0072B2",
+    "stable_baselines3": "#D55E00",
+    "ours_without_limit": "#56B4E9",
+    "stable_baselines3_without_limit": "#E69F00",
+}
 SOLVED = 175.0
 
 
