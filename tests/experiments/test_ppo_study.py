@@ -17,7 +17,7 @@ TINY = {
 def test_the_settings_are_those_of_the_command():
     config = ppo_runs.make_config()
     config.check()
-    assert (config.discount, config.total_episodes, config.reference_episodes) == (0.98, 2560, 0)
+    assert (config.discount, config.total_episodes, config.reference_episodes) == (0.98, 4480, 0)
     envs = ppo_runs.make_factory()(2, 0)
     assert envs.single_observation_space.shape == (6,)
     assert ppo_runs.make_factory(action_units="normalized")(2, 0).single_action_space.high == 1.0

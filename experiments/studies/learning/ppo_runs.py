@@ -168,7 +168,7 @@ class Method:
     changes: Mapping[str, Any] = field(default_factory=dict)
 
 
-WITHOUT_LIMIT = {"divergence_limit": None}
+WITHOUT_LIMIT = {"divergence_limit": None, "total_episodes": 2560}
 METHODS = {
     "ours": Method(train_ours),
     "stable_baselines3": Method(train_theirs),
