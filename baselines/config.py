@@ -188,7 +188,7 @@ def check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
         raise BaselineConfigError(f'{name} = "{value}"; choose one of {", ".join(choices)}')
 
 
-def check_positive(config: BaselineConfig, *names: str) -> None:
+def check_positive(config: object, *names: str) -> None:
     """Raise BaselineConfigError for a named value that is not above 0."""
     for name in names:
         if not getattr(config, name) > 0:

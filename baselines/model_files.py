@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 import torch
@@ -19,6 +19,18 @@ from deepkoco.agent.stored_controller import MODEL_FOLDER
 from deepkoco.koopman.files.folder_files import CONFIG_FILE, ModelFolderError, read_files, write_files
 
 Array = NDArray[np.float64]
+
+
+class CheckedSettings(Protocol):
+    """A dataclass of settings."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    def check(self) -> None:
+        """Raise an error if a value is out of range."""
+
+
+Settings = TypeVar("Settings", bound=CheckedSettings)
 
 
 @dataclass(frozen=True)
@@ -95,7 +107,7 @@ def read_networks(folder: Path) -> StoredNetworks:
             f"the baselines are {', '.join(BASELINES)}"
         )
     try:
-        settings = _settings(baseline(config["kind"]).settings, config["settings"])
+        settings = settings_of(baseline(config["kind"]).settings, config["settings"])
         shape = tuple(int(side) for side in config["observation_shape"])
         low, high = (np.array(config[name], np.float64) for name in ("action_low", "action_high"))
         actor, critic = make_networks(shape, low.size, settings)
@@ -114,8 +126,12 @@ def read_networks(folder: Path) -> StoredNetworks:
     return StoredNetworks(settings, actor, critic, shape, low, high)
 
 
-def _settings(kind: type[BaselineConfig], stored: Mapping[str, Any]) -> BaselineConfig:
-    """Settings of a class, lists as the tuples they were."""
+def settings_of(kind: type[Settings], stored: Mapping[str, Any]) -> Settings:
+    """Settings of a class, lists as the tuples they were.
+
+    Raises:
+        ValueError: A name is unknown or a value out of range.
+    """
     known = {field.name for field in fields(kind)}
     unknown = sorted(set(stored) - known)
     if unknown:

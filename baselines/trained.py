@@ -8,10 +8,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from baselines.config import BaselineConfig
-from baselines.policy import ActionScale, Array, BaselinePolicy
-from baselines.replay import Replay
+from baselines.policy import ActionScale, Array
 from deepkoco.agent.buffer import Episode
+from deepkoco.agent.collection import BatchController
 from deepkoco.agent.metrics import Row
 from deepkoco.agent.references.measure import Trained
 from deepkoco.agent.seeding import Purpose, derive_seed
@@ -44,10 +43,11 @@ class UniformActions:
         return self._scale.to_environment(drawn.numpy())
 
 
-def trained_baseline(
-    config: BaselineConfig,
-    policy: BaselinePolicy,
-    replay: Replay,
+def trained_policy(
+    name: str,
+    total_episodes: int,
+    policy: BatchController,
+    first: Sequence[Episode],
     rows: Sequence[Row],
     low: Array,
     high: Array,
@@ -56,23 +56,20 @@ def trained_baseline(
     """Put together what is compared; a baseline has no planner, so EDMDc gets that of DeepKoCo's defaults.
 
     Args:
-        config: Hyper-parameters.
+        name: Of the algorithm.
+        total_episodes: Of the run.
         policy: The trained actor.
-        replay: Holds the random steps first.
+        first: Random episodes, to which EDMDc is fitted.
         rows: Metrics.
         low: a_min (M,).
         high: a_max (M,).
         seed: Of the run.
     """
-    scale, model = ActionScale(low, high), ModelConfig()
-    first = [
-        Episode(o, torch.from_numpy(scale.to_environment(a.numpy())).float(), -r)
-        for o, a, r in replay.episodes(config.random_steps)
-    ]
+    model = ModelConfig()
     units = TaskScale.of(first, low, high)
     own = derive_seed(seed, Purpose.REFERENCES)
     return Trained(
-        name=config.name,
+        name=name,
         controller=lambda count: policy,
         exploration=lambda count: UniformActions(low, high, count, own),
         first=first,
@@ -84,6 +81,6 @@ def trained_baseline(
         high=np.asarray(high, np.float64),
         window=None,
         plans=False,
-        total_episodes=config.total_episodes,
+        total_episodes=total_episodes,
         seed=own,
     )

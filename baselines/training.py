@@ -15,12 +15,13 @@ import torch
 from baselines.collection import EpisodeRound
 from baselines.config import BaselineConfig
 from baselines.model_files import StoredNetworks, write_networks
-from baselines.policy import BaselinePolicy
+from baselines.policy import ActionScale, BaselinePolicy
 from baselines.registry import make_learner
 from baselines.replay import Replay
 from baselines.replay_files import read_replay, write_replay
-from baselines.trained import trained_baseline
+from baselines.trained import trained_policy
 from deepkoco import __version__
+from deepkoco.agent.buffer import Episode
 from deepkoco.agent.checkpoint import (
     CheckpointError,
     check_settings,
@@ -37,6 +38,7 @@ from deepkoco.agent.collection import (
 )
 from deepkoco.agent.environment_pool import EnvironmentPool
 from deepkoco.agent.metrics import MetricsLog, Row, evaluation_metrics
+from deepkoco.agent.references.measure import Trained
 from deepkoco.agent.references.run_comparison import compare_run
 from deepkoco.agent.seeding import Purpose, derive_seed
 from deepkoco.agent.standing import Report, Standing
@@ -276,10 +278,26 @@ class BaselineTrainer:
         return state["metrics"]
 
     def _compare(self) -> dict[str, str]:
+        def trained() -> Trained:
+            config, low, high = self.config, self._low, self._high
+            scale = ActionScale(low, high)
+            first = [
+                Episode(o, torch.from_numpy(scale.to_environment(a.numpy())).float(), -r)
+                for o, a, r in self._replay.episodes(config.random_steps)
+            ]
+            return trained_policy(
+                config.name,
+                config.total_episodes,
+                self.policy,
+                first,
+                self.metrics.rows,
+                low,
+                high,
+                self.seed,
+            )
+
         return compare_run(
-            lambda: trained_baseline(
-                self.config, self.policy, self._replay, self.metrics.rows, self._low, self._high, self.seed
-            ),
+            trained,
             lambda count: self._pool.get(count, self._make_evaluation_envs),
             self.config.final_evaluation_episodes,
             self.config.reference_episodes,

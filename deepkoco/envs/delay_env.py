@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
+from torch import Tensor
 
 from deepkoco.engines import command_window
 from deepkoco.engines.ode import World
@@ -166,6 +167,10 @@ class DelayGraphVectorEnv(GraphVectorEnv):
         return np.minimum(
             np.maximum(super()._command(actions) * self.action_scale, -self.limits), self.limits
         )
+
+    def command_of(self, actions: Tensor) -> Tensor:
+        scale, limits = torch.from_numpy(self.action_scale), torch.from_numpy(self.limits)
+        return (super().command_of(actions) * scale).clamp(-limits, limits)
 
 
 class DelayGraphEnv(GraphEnv):

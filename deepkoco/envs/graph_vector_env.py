@@ -12,6 +12,7 @@ import torch
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
+from torch import Tensor
 
 from deepkoco.envs.actions import check_finite_action, check_shape
 from deepkoco.envs.delay_traces import DelayTraces
@@ -19,8 +20,10 @@ from deepkoco.envs.episode_draws import EpisodeDraws
 from deepkoco.envs.randomization import GraphRandomization, Randomization, Randomize, Values
 from deepkoco.envs.readings import check_readings, further_readings
 from deepkoco.envs.restarts import reset_mask
+from deepkoco.envs.rollouts import Outcome, Policy
 from deepkoco.envs.seeds import Seeds, split_seeds
 from deepkoco.envs.settings import SettingsError
+from deepkoco.envs.steps_ahead import CommandedPolicy, StepsAhead
 from deepkoco.graph import BatchedRuntime, Graph, GraphError, RuntimeState, Supervisor, extend_timing
 from deepkoco.graph.delay import RecordedDelays
 from deepkoco.graph.model.node import State
@@ -112,6 +115,7 @@ class GraphVectorEnv(VectorEnv):
             executor = "fused" if all(node.pure for node in graph.nodes) else "eager"
         self._runtime = BatchedRuntime(graph, executor=executor)
         self._state: RuntimeState | None = None
+        self._ahead = StepsAhead()
         self._elapsed = np.zeros(num_envs, np.int64)
         self._ended = np.zeros(num_envs, bool)
 
@@ -205,7 +209,57 @@ class GraphVectorEnv(VectorEnv):
         self._elapsed += 1
         if waiting.any():
             self._restart(waiting)
-        readings = self._state.readings
+        return self._outcome(waiting)
+
+    def step_ahead(
+        self,
+        policy: Policy,
+        steps: int,
+        parameters: Mapping[str, Tensor],
+        signals: Mapping[str, Tensor],
+    ) -> tuple[np.ndarray, np.ndarray, Outcome]:
+        """:meth:`step` with a policy's actions until an episode ends, inside of what runs the graph.
+
+        Args:
+            policy: From its parameters and what it sees, ``observation`` (B, ...) and the signals of the step, to
+                actions (B, ...). The executor compiles it once for the same object.
+            steps: Most steps.
+            parameters: Of the policy.
+            signals: What it is shown beside the observation, (steps, B, ...) by name.
+
+        Returns:
+            Observations (n, B, ...) and rewards (n, B) float64 after each of n >= 1 steps, and what the last of as
+            many calls of `step` would have returned.
+
+        Raises:
+            ResetNeeded: Before the first reset, or where an environment waits for its reset.
+            ActionError: An action is no finite number.
+        """
+        start = self.state
+        if self._ended.any():
+            raise gymnasium.error.ResetNeeded(
+                "step_ahead: an environment has ended, which only `step` starts anew"
+            )
+        shown = _torch_type(self.single_observation_space.dtype)
+        after, taken = self._ahead.take(
+            self._runtime,
+            start,
+            CommandedPolicy(self, policy, shown),
+            min(steps, self.max_episode_steps - int(self._elapsed.max())),
+            parameters,
+            signals,
+        )
+        commands = taken["action"].cpu().numpy()
+        check_finite_action(commands.reshape(-1, *commands.shape[2:]))
+        self._state = after
+        self._elapsed += len(commands)
+        observations = taken["observation"].cpu().numpy().astype(self.single_observation_space.dtype)
+        rewards = taken["reward"].cpu().numpy().astype(np.float64)
+        return observations, rewards, self._outcome(np.zeros(self.num_envs, bool))
+
+    def _outcome(self, waiting: np.ndarray) -> Outcome:
+        """What a step returns, of which those ``waiting`` (B,) only started anew; others start anew as they must."""
+        readings = self.state.readings
         reward = readings["reward"].cpu().numpy().astype(np.float64)
         terminated = np.zeros(self.num_envs, bool)
         if "terminated" in readings:
@@ -316,12 +370,21 @@ class GraphVectorEnv(VectorEnv):
         check_finite_action(command, batched=True)
         return command
 
+    def command_of(self, actions: Tensor) -> Tensor:
+        """The supervisor's output (B, ...) for actions (B, ...), as `step` has it, in operations of torch."""
+        given = actions.to(_torch_type(self.single_action_space.dtype)).to(_torch_type(self._action_type))
+        return given.reshape(len(given), *self._action_shape[1:])
+
     def _observation(self) -> np.ndarray:
         space = self.single_observation_space
         return self.state.readings["observation"].cpu().numpy().astype(space.dtype)
 
     def _info(self) -> dict[str, Any]:
         return further_readings(self.state.readings, self.num_envs)
+
+
+def _torch_type(dtype: Any) -> torch.dtype:
+    return torch.from_numpy(np.empty(0, dtype)).dtype
 
 
 def _branch(generator: torch.Generator) -> torch.Generator:

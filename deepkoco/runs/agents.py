@@ -87,6 +87,11 @@ AGENTS = {
     "sac_shared": _baseline("SharedSacConfig"),
     "deepmdp": _baseline("DeepMdpConfig"),
     "dbc": _baseline("DbcConfig"),
+    "ppo": AgentKind(
+        "baselines.ppo.config:PpoConfig",
+        "baselines.ppo.training:PpoTrainer",
+        "baselines.ppo.policy:load_policy",
+    ),
 }
 
 

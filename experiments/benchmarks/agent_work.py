@@ -12,6 +12,12 @@ from gymnasium.vector import VectorEnv
 from baselines.collection import EpisodeRound
 from baselines.config import BaselineConfig
 from baselines.policy import BaselinePolicy
+from baselines.ppo.collection import Collector
+from baselines.ppo.config import PpoConfig
+from baselines.ppo.learner import PpoLearner
+from baselines.ppo.networks import ActorCritic
+from baselines.ppo.policy import PpoPolicy
+from baselines.ppo.scaling import ScaledRewards
 from baselines.registry import make_learner
 from baselines.replay import Replay
 from deepkoco.agent.agent import VectorAgent
@@ -129,6 +135,43 @@ def baseline_parts(config: TrainRunConfig, episode_steps: int) -> dict[str, Part
     }
 
 
+def ppo_parts(config: TrainRunConfig, episode_steps: int) -> dict[str, Part]:
+    """The parts of PPO's training, whose rollouts begin at resets; see `deepkoco_parts`."""
+    agent: PpoConfig = config.agent
+    make = make_environments(config)
+    envs = make(agent.environments, config.seed)
+    (size, *_), low, high = box_sizes(envs)
+    learner = PpoLearner(ActorCritic(size, low, high, agent), agent)
+    rewards = ScaledRewards(agent.environments, agent.discount, agent.reward_limit, agent.scale_rewards)
+    collector = Collector(envs, learner.networks, rewards, agent)
+    generator = torch.Generator().manual_seed(0)
+    collector.start(0)
+    _, samples = collector.run(generator)
+
+    def update() -> None:
+        learner.update(samples, [torch.randperm(len(samples), generator=generator)])
+
+    def rollout() -> None:
+        collector.start(0)
+        collector.run(generator)
+
+    minibatches = -(-len(samples) // agent.minibatch)
+    rollouts = -(-agent.total_episodes // agent.environments) * -(-episode_steps // agent.steps)
+    rounds = -(-agent.total_episodes // agent.environments)
+    evaluations = min((agent.total_episodes - 1) // agent.evaluation_every, rounds - 1)
+    evaluated = evaluations * agent.evaluation_episodes + agent.final_evaluation_episodes
+    count = max(agent.evaluation_episodes, 1)
+    evaluation, policy = make(count, config.seed), PpoPolicy(learner.networks)
+    steps = agent.environments * agent.steps
+    return {
+        "update": Part(update, minibatches, rollouts * agent.epochs * minibatches),
+        "step": Part(rollout, steps, rollouts * steps),
+        "evaluation step": Part(
+            lambda: _evaluate(evaluation, policy), count * episode_steps, evaluated * episode_steps
+        ),
+    }
+
+
 def _evaluate(envs: VectorEnv, policy: BatchController) -> None:
     collect_episodes(envs, policy, 0, record=False)
 
@@ -152,5 +195,6 @@ PARTS: dict[str, Callable[[TrainRunConfig, int], dict[str, Part]]] = {
     "sac_shared": baseline_parts,
     "deepmdp": baseline_parts,
     "dbc": baseline_parts,
+    "ppo": ppo_parts,
 }
 """How the work of each agent is made, by its name."""

@@ -11,7 +11,7 @@ from torch import Tensor
 from deepkoco.graph.execution import cells
 from deepkoco.graph.execution.executor import take_steps
 from deepkoco.graph.execution.initial import EpisodeSetup, initial_state
-from deepkoco.graph.execution.policy import Policy, as_function, given_actions
+from deepkoco.graph.execution.policy import Policy, as_function, given_actions, signals_at
 from deepkoco.graph.execution.schedule import Schedule
 from deepkoco.graph.execution.state import HorizonError, RuntimeState, Trace
 from deepkoco.graph.model.calls import call_observe, call_step
@@ -72,6 +72,7 @@ class EagerExecutor:
         policy: Policy,
         steps: int,
         parameters: Mapping[str, Tensor] | None,
+        signals: Mapping[str, Tensor],
         record: tuple[str, ...],
     ) -> tuple[RuntimeState, dict[str, Tensor]]:
         """Take steps with a policy's actions; see `BatchedRuntime.rollout`."""
@@ -86,7 +87,8 @@ class EagerExecutor:
             function, values = as_function(policy, parameters)
 
             def decide(state: RuntimeState, k: int) -> Tensor:
-                return function(values, state.readings or self.inputs(state))
+                seen = state.readings or self.inputs(state)
+                return function(values, {**seen, **signals_at(signals, k, state.batch)})
 
         return take_steps(self, state, decide, steps, record)
 

@@ -72,6 +72,7 @@ class Executor(Protocol[Held]):
         policy: Policy,
         steps: int,
         parameters: Mapping[str, Tensor] | None,
+        signals: Mapping[str, Tensor],
         record: tuple[str, ...],
     ) -> tuple[Held, dict[str, Tensor]]:
         """Take steps with a policy's actions; see `BatchedRuntime.rollout`."""

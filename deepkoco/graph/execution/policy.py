@@ -56,6 +56,28 @@ def given_actions(policy: Tensor, state: RuntimeState, steps: int, shape: tuple[
     return policy
 
 
+def given_signals(signals: Mapping[str, Tensor], state: RuntimeState, steps: int) -> Mapping[str, Tensor]:
+    """Signals (steps, B or 1, ...) that a policy is shown beside the readings, checked.
+
+    Raises:
+        ValueError: they are not as many as the steps or the environments, or have the name of a reading.
+    """
+    for name, value in signals.items():
+        if value.ndim < 2 or value.shape[0] != steps or value.shape[1] not in (1, state.batch):
+            raise ValueError(
+                f'signal "{name}" {tuple(value.shape)} for {steps} steps of {state.batch} environments; '
+                "expected (steps, B or 1, ...)"
+            )
+        if name in state.readings:
+            raise ValueError(f'signal "{name}" has the name of a reading')
+    return signals
+
+
+def signals_at(signals: Mapping[str, Tensor], k: int, batch: int) -> dict[str, Tensor]:
+    """What a policy is shown at step k, (B, ...) by name."""
+    return {name: signal[k].expand(batch, *signal.shape[2:]) for name, signal in signals.items()}
+
+
 def recorded_names(record: tuple[str, ...] | None, state: RuntimeState) -> tuple[str, ...]:
     """Names of what a rollout records; None: the action and every reading.
 

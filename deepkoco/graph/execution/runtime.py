@@ -11,7 +11,7 @@ from torch import Tensor
 from deepkoco.graph.execution.eager import EagerExecutor
 from deepkoco.graph.execution.executor import Executor, NoDerivativeError, NotCompiledError
 from deepkoco.graph.execution.initial import EpisodeSetup
-from deepkoco.graph.execution.policy import Policy, recorded_names
+from deepkoco.graph.execution.policy import Policy, given_signals, recorded_names
 from deepkoco.graph.execution.schedule import Schedule
 from deepkoco.graph.execution.state import Generators, HorizonError, NodeParameters, RuntimeState, Trace
 from deepkoco.graph.model.graph import Graph
@@ -166,6 +166,7 @@ class BatchedRuntime:
         steps: int | None = None,
         *,
         parameters: Mapping[str, Tensor] | None = None,
+        signals: Mapping[str, Tensor] | None = None,
         record: Sequence[str] | None = None,
     ) -> tuple[RuntimeState, dict[str, Tensor]]:
         """Take many steps at once; the fused and cuda executors take the policy into what they compile.
@@ -180,6 +181,8 @@ class BatchedRuntime:
                 (steps, B, M) or (steps, 1, M) for all.
             steps: number of actions to take; None: as many as there are given actions.
             parameters: of the policy, shared by all environments; None: those of the module, or none.
+            signals: what a function is shown beside the readings, (steps, B, ...) or (steps, 1, ...) by name, such as
+                noise to explore with or a path to follow.
             record: names of readings, and "action"; None: all of them.
 
         Returns:
@@ -196,8 +199,9 @@ class BatchedRuntime:
         if steps < 1:
             raise ValueError(f"a rollout of {steps} steps: take at least one")
         names = recorded_names(None if record is None else tuple(record), state)
+        shown = given_signals(signals or {}, state, steps)
         return self._with_fallback(
-            lambda executor: executor.rollout(executor.adopt(state), policy, steps, parameters, names)
+            lambda executor: executor.rollout(executor.adopt(state), policy, steps, parameters, shown, names)
         )
 
     def _with_fallback(self, run: Callable[[Executor[Any]], Result]) -> Result:

@@ -44,7 +44,7 @@ class Binding:
         self.action = torch.zeros(ring.shape[1:], dtype=ring.dtype, device=self.device)
         self._loaded: Buffers | None = None
         self._start: Buffers = self._moving
-        self._works: Recent[Any, tuple[Work, dict[str, Tensor]]] = Recent(4)
+        self._works: Recent[Any, tuple[Work, dict[str, Tensor], dict[str, Tensor]]] = Recent(4)
 
     @property
     def schedule(self) -> Schedule:
@@ -69,39 +69,60 @@ class Binding:
 
     def stepper(self) -> Work:
         """Work that takes one step with what `action` holds."""
-        return self._work(None, {}, lambda values: None)
+        return self._work(None, {}, {}, lambda values, shown: None)[0]
 
-    def policy_stepper(self, function: PolicyFunction, parameters: Mapping[str, Tensor]) -> Work:
-        """Work that takes one step with the action of a policy, and leaves that in `action`."""
+    def policy_stepper(
+        self, function: PolicyFunction, parameters: Mapping[str, Tensor], signals: Mapping[str, Tensor]
+    ) -> tuple[Work, Mapping[str, Tensor]]:
+        """Work that takes one step with the action of a policy, and leaves that in `action`.
+
+        Args:
+            function: of its parameters and of what it is shown.
+            parameters: of the policy.
+            signals: examples (steps, B or 1, ...).
+
+        Returns:
+            The work, and by name where it looks for the signals (B, ...) of its step.
+        """
 
         uses: dict[str, Uses] = {}
 
-        def act(values: Mapping[str, Tensor]) -> None:
-            action = self.function.act(function, values, self._carry, uses)
+        def act(values: Mapping[str, Tensor], shown: Mapping[str, Tensor]) -> None:
+            action = self.function.act(function, values, self._carry, uses, shown)
             if action.shape[1:] != self.action.shape[1:] or len(action) not in (1, len(self.action)):
                 raise ValueError(
                     f"the policy gives actions {tuple(action.shape)} where {tuple(self.action.shape)} is expected"
                 )
             self.action.copy_(action)
 
-        return self._work(function, parameters, act)
+        return self._work(function, parameters, signals, act)
 
     def _work(
-        self, function: Any, parameters: Mapping[str, Tensor], act: Callable[[Mapping[str, Tensor]], None]
-    ) -> Work:
-        key = function, *((k, v.dtype, tuple(v.shape)) for k, v in parameters.items())
+        self,
+        function: Any,
+        parameters: Mapping[str, Tensor],
+        signals: Mapping[str, Tensor],
+        act: Callable[[Mapping[str, Tensor], Mapping[str, Tensor]], None],
+    ) -> tuple[Work, dict[str, Tensor]]:
+        shapes = [(name, value.dtype, tuple(value.shape[2:])) for name, value in signals.items()]
+        key = function, *((k, v.dtype, tuple(v.shape)) for k, v in parameters.items()), *shapes
 
-        def make() -> tuple[Work, dict[str, Tensor]]:
+        def make() -> tuple[Work, dict[str, Tensor], dict[str, Tensor]]:
             values = {k: v.detach().to(self.device, copy=True) for k, v in parameters.items()}
+            batch = len(self.action)
+            shown = {
+                name: torch.zeros(batch, *shape, dtype=dtype, device=self.device)
+                for name, dtype, shape in shapes
+            }
             context = constants(self.device)
 
             def work() -> None:
                 with torch.no_grad(), context:
-                    act(values)
+                    act(values, shown)
                     self._advance()
 
             if not self.capture:
-                return work, values
+                return work, values, shown
             start = self._start
 
             def prepare() -> None:
@@ -109,12 +130,12 @@ class Binding:
 
             captured = Captured(work, prepare, self.device, lambda: self.function.running)
             prepare()  # the runs before the capture have taken steps
-            return captured, values
+            return captured, values, shown
 
-        work, values = self._works.get(key, make)
+        work, values, shown = self._works.get(key, make)
         for name, value in parameters.items():
             values[name].copy_(value.detach())
-        return work
+        return work, shown
 
     def _advance(self) -> None:
         after = self.function.advance(self._parameters, self._carry, self.action)

@@ -103,17 +103,19 @@ class TensorExecutor:
         policy: Policy,
         steps: int,
         parameters: Mapping[str, Tensor] | None,
+        signals: Mapping[str, Tensor],
         record: tuple[str, ...],
     ) -> tuple[DeviceState, dict[str, Tensor]]:
         """Take steps without a word from the host but the start of each; see `BatchedRuntime.rollout`."""
         HorizonError.check(state, steps)
         binding, given = state.binding, None
+        shown: Mapping[str, Tensor] = {}
         binding.load(state.fixed, state.moving)
         if isinstance(policy, Tensor):
             given = given_actions(policy, state, steps, tuple(binding.action.shape[1:])).to(self.device)
             work = binding.stepper()
         else:
-            work = binding.policy_stepper(*as_function(policy, parameters))
+            work, shown = binding.policy_stepper(*as_function(policy, parameters), signals)
         source = {**binding.readings, "action": binding.action}
         taken = {
             name: torch.empty(steps, *source[name].shape, dtype=source[name].dtype, device=self.device)
@@ -122,6 +124,8 @@ class TensorExecutor:
         for k in range(steps):
             if given is not None:
                 binding.action.copy_(given[k])
+            for name, place in shown.items():
+                place.copy_(signals[name][k])
             work()
             for name, values in taken.items():
                 values[k].copy_(source[name])

@@ -85,6 +85,7 @@ class SupervisorStep:
         parameters: Mapping[str, Tensor],
         carry: Carry,
         uses: dict[str, Uses],
+        shown: Mapping[str, Tensor],
     ) -> Tensor:
         """Actions (B, M) of a policy from the readings, or from what the supervisor sees if there are none.
 
@@ -93,12 +94,13 @@ class SupervisorStep:
             parameters: of the policy.
             carry: where the environments are.
             uses: of the policy alone, like that of the nodes.
+            shown: signals (B, ...) that the policy sees beside.
         """
         self.running = "the policy"
         if carry.readings:
-            return function(parameters, carry.readings)
+            return function(parameters, {**carry.readings, **shown})
         seen = self._supervisor_inputs(carry, uses.get("policy"))
-        return self._watched("policy", seen, lambda: function(parameters, seen), uses)
+        return self._watched("policy", seen, lambda: function(parameters, {**seen, **shown}), uses)
 
     def inputs(self, carry: Carry) -> dict[str, Input]:
         """What the supervisor sees at the step that waits, every field of it."""

@@ -354,20 +354,32 @@ INLINE void copy(char *to, const char *from, i64 bytes) {
   if (at < bytes) memcpy(to + at, from + at, bytes - at);
 }
 
+// What a policy is shown of a block beside the readings.
+INLINE void show(const Block &b, const Rollout &r, i64 t, char *G) {
+  for (i64 k = 0; k < r.signals; k++)
+    gather(b.environment, r.signal_from[k] + t * r.signal_time[k], r.signal_environment[k], r.signal_count[k],
+           r.signal_size[k], G + r.signal_offset[k] * W);
+}
+
 // Actions of a policy.
-static void decide(Block *blocks, i64 count, const Rollout &r, View &v, char *actions) {
+static void decide(Block *blocks, i64 count, const Rollout &r, i64 t, View &v, char *signals, char *actions) {
   const Model &m = *blocks->m;
+  const i64 each = r.signal_bytes * W;
   i64 k = 0;
   for (; r.policies && count - k >= 4; k += 4) {
-    const char *R[4];
+    const char *R[4], *G[4];
     char *Y[4];
-    for (i64 j = 0; j < 4; j++) R[j] = blocks[k + j].moving + m.readings, Y[j] = actions + (k + j) * ACTION * W;
-    r.policies(r.weights, R, Y);
+    for (i64 j = 0; j < 4; j++) {
+      show(blocks[k + j], r, t, signals + (k + j) * each);
+      R[j] = blocks[k + j].moving + m.readings, G[j] = signals + (k + j) * each, Y[j] = actions + (k + j) * ACTION * W;
+    }
+    r.policies(r.weights, R, G, Y);
   }
   for (; k < count; k++) {
     const Block &b = blocks[k];
     if (r.looks) look(b, m.node[m.supervisor], b.step, v);
-    r.policy(r.weights, b.moving + m.readings, v.data, v.seq, v.times, actions + k * ACTION * W);
+    show(b, r, t, signals + k * each);
+    r.policy(r.weights, b.moving + m.readings, v.data, v.seq, v.times, signals + k * each, actions + k * ACTION * W);
   }
 }
 
@@ -392,9 +404,10 @@ static void run_blocks(Block *blocks, i64 count, bool together, const Rollout &r
   View v;
   char H[GROUP * HOISTED * W], buffer[GROUP * ACTION * W];
   const char *action[GROUP];
+  char *G = (char *)__builtin_alloca(GROUP * r.signal_bytes * W);
   for (i64 k = 0; k < count; k++) prologue(blocks[k].fixed, H + k * HOISTED * W);
   for (i64 t = 0; t < r.steps; t++) {
-    if (r.policy) decide(blocks, count, r, v, buffer);
+    if (r.policy) decide(blocks, count, r, t, v, G, buffer);
     for (i64 k = 0; k < count; k++) {
       Block &b = blocks[k];
       char *own = buffer + k * ACTION * W;

@@ -26,7 +26,7 @@ from deepkoco.graph.execution.fused.source import kernel_source
 from deepkoco.graph.execution.fused.state import FusedState, Place
 from deepkoco.graph.execution.initial import EpisodeSetup
 from deepkoco.graph.execution.inputs import LazyInputs
-from deepkoco.graph.execution.policy import Policy, PolicyFunction, as_function, given_actions
+from deepkoco.graph.execution.policy import Policy, PolicyFunction, as_function, given_actions, signals_at
 from deepkoco.graph.execution.schedule import Schedule
 from deepkoco.graph.execution.state import HorizonError, RuntimeState, Trace
 from deepkoco.graph.model.graph import Graph
@@ -141,6 +141,7 @@ class FusedExecutor:
         policy: Policy,
         steps: int,
         parameters: Mapping[str, Tensor] | None,
+        signals: Mapping[str, Tensor],
         record: tuple[str, ...],
     ) -> tuple[FusedState, dict[str, Tensor]]:
         """Take steps inside the kernel; see `BatchedRuntime.rollout`."""
@@ -153,21 +154,24 @@ class FusedExecutor:
                 return differentiable_rollout(start, steps, record, self.threads, actions=given)
             return run_rollout(self._without_leaves(state), steps, record, self.threads, actions=given)
         function, values = as_function(policy, parameters)
-        if wants_gradients(state, *values.values()):
-            return self._steps(self._with_leaves(state), function, values, steps, record)
+        if wants_gradients(state, *values.values(), *signals.values()):
+            return self._steps(self._with_leaves(state), function, values, signals, steps, record)
         state = self._without_leaves(state)
-        compiled = self._policy(state, function, values)
+        compiled = self._policy(state, function, values, signals)
         if compiled is not None:
             weights = compiled.pack(values)
-            return run_rollout(state, steps, record, self.threads, policy=compiled, weights=weights)
+            return run_rollout(
+                state, steps, record, self.threads, policy=compiled, weights=weights, signals=signals
+            )
         with torch.no_grad():
-            return self._steps(state, function, values, steps, record)
+            return self._steps(state, function, values, signals, steps, record)
 
     def _steps(
         self,
         state: FusedState,
         function: PolicyFunction,
         values: Mapping[str, Tensor],
+        signals: Mapping[str, Tensor],
         steps: int,
         record: tuple[str, ...],
     ) -> tuple[FusedState, dict[str, Tensor]]:
@@ -175,19 +179,25 @@ class FusedExecutor:
         HorizonError.check(state, steps)
 
         def decide(state: FusedState, k: int) -> Tensor:
-            return function(values, state.readings or self.inputs(state))
+            seen = state.readings or self.inputs(state)
+            return function(values, {**seen, **signals_at(signals, k, state.batch)})
 
         return take_steps(self, state, decide, steps, record)
 
     def _policy(
-        self, state: FusedState, function: PolicyFunction, parameters: Mapping[str, Tensor]
+        self,
+        state: FusedState,
+        function: PolicyFunction,
+        parameters: Mapping[str, Tensor],
+        signals: Mapping[str, Tensor],
     ) -> CompiledPolicy | None:
         """The policy's machine code; None if it cannot be compiled, which is said once."""
         kernel = state.binding.kernel
-        key = id(kernel), function, *((k, v.dtype, v.shape) for k, v in parameters.items())
+        shapes = [(name, value.dtype, value.shape[2:]) for name, value in signals.items()]
+        key = id(kernel), function, *((k, v.dtype, v.shape) for k, v in parameters.items()), *shapes
         if key not in self._policies:
             try:
-                self._policies[key] = CompiledPolicy(kernel, function, parameters)
+                self._policies[key] = CompiledPolicy(kernel, function, parameters, signals)
             except NotCompiledError as error:
                 warnings.warn(f"{error}; this policy runs between steps", RuntimeWarning, stacklevel=4)
                 self._policies[key] = None

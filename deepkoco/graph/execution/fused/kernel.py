@@ -47,6 +47,11 @@ class RolloutCall(ctypes.Structure):
         + [(name, ctypes.c_int64) for name in ("action_time", "action_environment")]
         + [("out_actions", ctypes.c_void_p), ("outputs", ctypes.c_int64)]
         + [(n, ctypes.c_void_p) for n in ("reading_offset", "reading_count", "reading_size", "out_readings")]
+        + [(name, ctypes.c_int64) for name in ("signals", "signal_bytes")]
+        + [
+            (f"signal_{n}", ctypes.c_void_p)
+            for n in ("offset", "count", "size", "time", "environment", "from")
+        ]
     )
 
 

@@ -15,7 +15,7 @@ SIDE_BY_SIDE = 4
 MOST_STATEMENTS = 600
 """Of a body that is written for several blocks: longer ones take the compiler too long."""
 
-_OWN = re.compile(r"\b(v\d+|far|P|H|S|X|Q|T|A|S2|Y|R)\b")
+_OWN = re.compile(r"\b(v\d+|far|P|H|S|X|Q|T|A|S2|Y|R|G)\b")
 """Names of which each block has its own."""
 
 _POINTERS = (

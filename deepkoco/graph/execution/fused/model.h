@@ -51,8 +51,8 @@ struct Call { // what a body is given, for up to SIDE blocks
     P[k] = *P, H[k] = *H, S[k] = *S, X[k] = *X, Q[k] = *Q, T[k] = *T, A[k] = *A, S2[k] = *S2, Y[k] = *Y;
   }
 };
-typedef void (*Policy)(const char *weights, const char *R, const char *const *X, const VL *Q, const VD *T, char *Y);
-typedef void (*Policies)(const char *weights, const char *const *R, char *const *Y); // of four blocks
+typedef void (*Policy)(const char *weights, const char *R, const char *const *X, const VL *Q, const VD *T, const char *G, char *Y);
+typedef void (*Policies)(const char *weights, const char *const *R, const char *const *G, char *const *Y); // of four blocks
 
 struct Rollout {
   i64 steps, first, last; // steps to take, blocks
@@ -65,6 +65,9 @@ struct Rollout {
   i64 outputs;                         // readings to record
   const i64 *reading_offset, *reading_count, *reading_size;
   char *const *out_readings; // (steps, B, ...) each
+  i64 signals, signal_bytes; // what the policy is shown beside the readings; of all of them in a record [bytes per lane]
+  const i64 *signal_offset, *signal_count, *signal_size, *signal_time, *signal_environment; // strides in bytes
+  const char *const *signal_from; // (steps, B or 1, ...) each
 };
 
 struct Block {

@@ -60,12 +60,18 @@ class PolicySource:
 
 
 def policy_source(
-    graph: Graph, trace: Trace, readings: Mapping[str, Field], action: Spec, lanes: int
+    graph: Graph,
+    trace: Trace,
+    readings: Mapping[str, Field],
+    signals: Mapping[str, Field],
+    action: Spec,
+    lanes: int,
 ) -> PolicySource:
     """Write a policy: parameters are shared by all environments.
 
     Args:
-        trace: inputs "p.<parameter>", "r.<reading>" and those of the supervisor; output "action".
+        trace: inputs "p.<parameter>", "r.<reading>", "g.<signal>" and those of the supervisor; output "action".
+        readings, signals: where their records have them.
     """
     body, pool = Body("policy"), Pool()
     uses = trace.used()
@@ -85,9 +91,10 @@ def policy_source(
         strides = (1, shape[0]) if turned else contiguous(shape)
         inputs[name] = Value(shape, dtype, array=Array(pointer, "shared", strides))
     inputs |= seen_messages(body, graph, graph.supervisor, trace, uses)
-    for key, place in readings.items():
-        if f"r.{key}" in uses:
-            inputs[f"r.{key}"] = load_tensor(body, f"R + {place.offset} * W", trace.inputs[f"r.{key}"])
+    for record, prefix, fields in (("R", "r", readings), ("G", "g", signals)):
+        for key, place in fields.items():
+            if (name := f"{prefix}.{key}") in uses:
+                inputs[name] = load_tensor(body, f"{record} + {place.offset} * W", trace.inputs[name])
     (output,) = lower_trace(body, "policy", trace, inputs).values()
     if (output.dtype, output.shape[1:]) != action:
         output = body.cast_value(output, action[0])
@@ -105,8 +112,8 @@ def policy_source(
     mixed = mixed_policy(lines, SIDE_BY_SIDE) if side_by_side else None
     copies = range(SIDE_BY_SIDE)
     together = [
-        'extern "C" void policies(const char *weights, const char *const *R, char *const *Y) {',
-        *(f"  const char *const R_{k} = R[{k}];" for k in copies),
+        'extern "C" void policies(const char *weights, const char *const *R, const char *const *G, char *const *Y) {',
+        *(f"  const char *const {name}_{k} = {name}[{k}];" for name in "RG" for k in copies),
         *(f"  char *const Y_{k} = Y[{k}];" for k in copies),
         *(f"  Far far_{k};" for k in copies),
         *(f"  {line}" for line in heads),
@@ -120,7 +127,7 @@ def policy_source(
             header_text("functions.h"),
             f"static const int PLACES = {max(1, sum(c.window for c in graph.inputs_of(graph.supervisor)))};",
             'extern "C" void policy(const char *weights, const char *R, const char *const *X, const VL *Q, '
-            "const VD *T, char *Y) {",
+            "const VD *T, const char *G, char *Y) {",
             *(f"  {line}" for line in ["Far far;", *heads, *lines]),
             "}",
             *(together if mixed is not None else []),

@@ -11,9 +11,11 @@ from torch import Tensor
 
 from deepkoco.graph.execution.fused.compiler import load
 from deepkoco.graph.execution.fused.kernel import Binding, Kernel, RolloutCall
+from deepkoco.graph.execution.fused.lowered import check_stack
 from deepkoco.graph.execution.fused.memory import address
 from deepkoco.graph.execution.fused.policy_source import policy_source
 from deepkoco.graph.execution.fused.program import input_examples, make_inputs, part, traced
+from deepkoco.graph.execution.fused.record import Field, lay_out
 from deepkoco.graph.execution.fused.state import FusedState
 from deepkoco.graph.execution.policy import PolicyFunction
 from deepkoco.graph.execution.state import HorizonError
@@ -26,12 +28,19 @@ class CompiledPolicy:
         kernel: of the graph that it acts in.
         function: pure, see `BatchedRuntime.rollout`.
         parameters: examples; later ones must have the same shapes.
+        signals: examples (steps, B or 1, ...), likewise.
 
     Raises:
         TraceError: the function cannot be compiled.
     """
 
-    def __init__(self, kernel: Kernel, function: PolicyFunction, parameters: Mapping[str, Tensor]) -> None:
+    def __init__(
+        self,
+        kernel: Kernel,
+        function: PolicyFunction,
+        parameters: Mapping[str, Tensor],
+        signals: Mapping[str, Tensor],
+    ) -> None:
         graph = kernel.graph
         edges = graph.inputs_of(graph.supervisor)
         specs = {n.name: program.output for n, program in zip(graph.nodes, kernel.programs, strict=True)}
@@ -42,13 +51,22 @@ class CompiledPolicy:
             f"r.{k}": torch.zeros(1, *field.shape, dtype=field.dtype) for k, field in readings.items()
         }
         examples |= input_examples(edges, sent)
+        self.signals, self.signal_bytes = lay_out(
+            {name: (value.dtype, tuple(value.shape[2:])) for name, value in signals.items()}
+        )
+        check_stack(kernel.lanes * self.signal_bytes)
+        examples |= {
+            f"g.{name}": torch.zeros(1, *field.shape, dtype=field.dtype)
+            for name, field in self.signals.items()
+        }
 
         def run(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
             seen = part(tensors, "r.") if readings else make_inputs(edges, tensors)
-            return {"action": function(part(tensors, "p."), seen)}
+            return {"action": function(part(tensors, "p."), {**seen, **part(tensors, "g.")})}
 
         trace = traced("policy", run, examples)
-        self.source = policy_source(graph, trace, readings, specs[graph.supervisor], kernel.lanes)
+        action = specs[graph.supervisor]
+        self.source = policy_source(graph, trace, readings, self.signals, action, kernel.lanes)
         self._weights, self._views = self.source.pool(parameters)
         self._library = load(self.source.text)
         names = ["policy", "policies"][: 1 + self.source.side_by_side]
@@ -72,6 +90,7 @@ def run_rollout(
     *,
     policy: CompiledPolicy | None = None,
     weights: np.ndarray | None = None,
+    signals: Mapping[str, Tensor] | None = None,
     actions: Tensor | None = None,
 ) -> tuple[FusedState, dict[str, Tensor]]:
     """Take steps with a policy or with given actions; nothing is done if an environment has too few left."""
@@ -87,6 +106,7 @@ def run_rollout(
         assert weights is not None
         call.policy, call.policies, call.weights = policy.address, policy.side_by_side, address(weights)
         call.looks = policy.looks
+        given.show(policy.signals, policy.signal_bytes, signals or {})
     spent = over_blocks(
         binding,
         threads,
@@ -135,6 +155,26 @@ class BlockCall:
             call.actions, call.action_time = actions.data_ptr(), size * actions.shape[1]
             call.action_environment = size if actions.shape[1] > 1 else 0
         self._kept: list[Any] = [columns, targets, actions]
+
+    def show(self, fields: Mapping[str, Field], size: int, signals: Mapping[str, Tensor]) -> None:
+        """Have a policy see signals (steps, B or 1, ...), which have these places in a record of this size."""
+        values = [signals[name].detach().to("cpu").contiguous() for name in fields]
+        own = [field.count * field.size for field in fields.values()]
+        columns = {
+            "offset": [field.offset for field in fields.values()],
+            "count": [field.count for field in fields.values()],
+            "size": [field.size for field in fields.values()],
+            "time": [bytes_ * value.shape[1] for bytes_, value in zip(own, values, strict=True)],
+            "environment": [
+                bytes_ if value.shape[1] > 1 else 0 for bytes_, value in zip(own, values, strict=True)
+            ],
+            "from": [value.data_ptr() for value in values],
+        }
+        arrays = {name: np.array(column, dtype=np.int64) for name, column in columns.items()}
+        for name, array in arrays.items():
+            setattr(self.struct, f"signal_{name}", address(array))
+        self.struct.signals, self.struct.signal_bytes = len(fields), size
+        self._kept += [values, arrays]
 
     def part(self, first: int, last: int) -> int:
         """Address of the same call for some of the blocks; it lives as long as this object."""

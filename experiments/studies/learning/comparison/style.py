@@ -30,6 +30,7 @@ METHODS = {
     "deepmdp": MethodStyle("DeepMDP", "#009E73"),
     "sac": MethodStyle("SAC", "#CC79A7"),
     "sac_shared": MethodStyle("SAC, shared encoder", "#E69F00"),
+    "ppo": MethodStyle("PPO", "#56B4E9"),
 }
 """By name of the agent, in the order of legends."""
 

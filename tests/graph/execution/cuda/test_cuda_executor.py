@@ -110,6 +110,24 @@ def test_a_policy_may_have_parameters_of_its_own(device):
 
 
 @pytest.mark.parametrize("device", DEVICES)
+def test_a_policy_is_shown_signals_of_its_step_and_environment(device):
+    both = Pendulums(device)
+    states = both.reset()
+
+    def follow(parameters, seen):
+        return seen["noise"] + 2.0 * (seen["target"] - seen["observation"][:, :1])
+
+    for seed in (0, 1):
+        noise = torch.randn(STEPS, 9, 1, generator=torch.Generator().manual_seed(seed))
+        signals = {"noise": noise, "target": torch.linspace(-1, 1, STEPS)[:, None, None]}
+        found, eager = (
+            r.rollout(s, follow, STEPS, signals=signals)[1]["action"]
+            for r, s in zip(both.runtimes, states, strict=True)
+        )
+        assert_same(found, eager)
+
+
+@pytest.mark.parametrize("device", DEVICES)
 def test_parameters_of_each_environment_act_in_it_alone(device):
     both = Pendulums(device)
     parameters = make_parameters()

@@ -139,6 +139,37 @@ def test_a_policy_may_have_parameters_of_its_own():
     torch.testing.assert_close(*results, rtol=2e-5, atol=2e-5)
 
 
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_policy_is_shown_signals_of_its_step_and_environment(threads):
+    both = Pendulums(batch=37, threads=threads)
+    states = both.reset()
+
+    def follow(parameters, seen):
+        return seen["noise"] + parameters["gain"] * (seen["target"][:, None] - seen["observation"][:, :1])
+
+    signals = {"noise": actions(STEPS, 37), "target": torch.linspace(-1, 1, STEPS)[:, None]}
+    results = [
+        runtime.rollout(state, follow, STEPS, parameters={"gain": torch.tensor(2.0)}, signals=signals)[1]
+        for runtime, state in zip((both.fused, both.eager), states, strict=True)
+    ]
+    torch.testing.assert_close(results[0]["action"], results[1]["action"], rtol=5e-5, atol=5e-5)
+    before = torch.stack([states[1].readings["observation"], *results[1]["observation"][:-1]])
+    by_hand = signals["noise"] + 2.0 * (signals["target"][..., None] - before[..., :1])
+    torch.testing.assert_close(results[1]["action"], by_hand, rtol=2e-5, atol=2e-5)
+
+
+def test_signals_that_fit_no_step_or_environment_are_refused():
+    both = Pendulums(batch=9)
+    state = both.reset()[0]
+    for signals, said in (
+        ({"noise": actions(4, 9)}, "for 5 steps of 9 environments"),
+        ({"noise": actions(5, 8)}, "expected .steps, B or 1, ...."),
+        ({"observation": actions(5, 9)}, "has the name of a reading"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            both.fused.rollout(state, make_policy(), 5, signals=signals)
+
+
 def test_a_policy_that_holds_its_weights_itself_never_acts_with_old_ones():
     both = Pendulums(batch=9)
     state, module = both.reset()[0], make_policy()

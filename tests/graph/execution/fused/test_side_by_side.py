@@ -90,3 +90,23 @@ def test_policies_of_other_kinds_decide_as_in_torch():
                 state, _ = runtime.rollout(state, policy, 5, record=[])
             results.append(state.nodes["world"]["state"])
         torch.testing.assert_close(*results, rtol=1e-4, atol=1e-4)
+
+
+def noisy(parameters, seen):
+    return torch.tanh(seen["observation"] @ parameters["gain"])[:, None] + seen["noise"]
+
+
+@pytest.mark.parametrize("batch", [3, 37, 230])
+def test_signals_reach_their_own_environment_in_any_batch(batch):
+    chosen = np.random.default_rng(batch).permutation(BATCH)[:batch]
+    results = []
+    for executor in ("fused", "eager"):
+        runtime = BatchedRuntime(GRAPH, TIMING, executor=executor)
+        own = {"world": {"state": START[chosen]}}
+        state, _ = runtime.reset(
+            make_parameters(), torch.Generator().manual_seed(0), own, rows=SCHEDULES[chosen]
+        )
+        gain, noise = {"gain": torch.linspace(-1.0, 1.0, 6)}, {"noise": ACTIONS[:5, chosen]}
+        taken = runtime.rollout(state, noisy, 5, record=["action"], parameters=gain, signals=noise)[1]
+        results.append(taken["action"])
+    torch.testing.assert_close(*results, rtol=1e-4, atol=1e-4)
