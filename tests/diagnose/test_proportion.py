@@ -16,6 +16,7 @@ from deepkoco.fit.solve.dispersion import dispersion
 from deepkoco.logs.recording import Recording, Series
 
 MASS, KV, KP, VISCOUS, FRICTION = 40.0, 20.0, 2000.0, 120.0, 60.0
+DRIFTED = 1.7  # times by which all values that multiply out of the motion are too large
 SOFT = 8e-3  # speed over which the friction of the unit grows [m/s]; that of the catalogue is there at once
 
 
@@ -79,6 +80,10 @@ def fitted():
         prior = prior_with(problem, start, (cause,), values)
         fit = problem.fit([replace(trial, prior=prior, values=values)], 60)[0]
         values = fit.values
+    # Only the ratios to the mass show, so a fit may end anywhere along them: its model error outweighs every prior.
+    along = {n: DRIFTED * values[n] for n in ("mass", "kp", "viscous", *cause.free)}
+    prior = prior_with(problem, start, (cause,), {**values, **along})
+    fit = problem.fit([replace(trial, prior=prior, values={**values, **along}, state=fit.state)], 1)[0]
     return problem, start, cause, fit
 
 
