@@ -67,6 +67,7 @@ def run(args: argparse.Namespace) -> int:
     from deepkoco.logs.formats import open_log
     from deepkoco.logs.formats.recordings import recordings as found_recordings
     from deepkoco.logs.inspect.survey import survey_log
+    from deepkoco.logs.part import split_part
     from deepkoco.logs.recording import LogError
     from deepkoco.logs.sidecar import find_sidecar
 
@@ -76,6 +77,9 @@ def run(args: argparse.Namespace) -> int:
         if target is not None and not target.parent.is_dir():
             raise InputError(f"{target}: the folder {target.parent} does not exist; create it first")
     try:
+        whole, part = split_part(args.log)
+        if part is not None:
+            raise InputError(f"{args.log}: inspect looks at whole logs; give {whole}")
         paths = found_recordings([args.log], args.episodes)
         found = survey_log(open_log(paths[0]))
         others = [survey_log(open_log(path)) for path in paths[1:MOST_LOGS]] if args.system else []

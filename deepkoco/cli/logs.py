@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -84,16 +85,13 @@ def result_folder(out: Path | None, first: Path, suffix: str) -> Path:
         FolderExistsError: It exists, or a file on its path keeps it from being made.
         WriteError: The disk is full, or the place cannot be written.
     """
-    from deepkoco.logs.part import split_part
+    from deepkoco.logs.part import seconds, split_part
     from deepkoco.output.new_folder import check_new
 
     whole, part = split_part(first)
     place = whole if whole.stem else whole.resolve()
-    cut = (
-        ""
-        if part is None
-        else "_from_{:g}_to_{:g}_s".format(*part).replace("_from_-inf", "").replace("_to_inf", "")
-    )
+    ends = () if part is None else zip(("from", "to"), part, strict=True)
+    cut = "".join(f"_{word}_{seconds(t)}_s" for word, t in ends if math.isfinite(t))
     folder = place.with_name(f"{place.stem}{cut}{suffix}") if out is None else out
     check_new(folder)
     return folder

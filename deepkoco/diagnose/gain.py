@@ -17,6 +17,7 @@ from deepkoco.fit.data.halves import halved
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.prior import Prior
+from deepkoco.logs.part import seconds
 from deepkoco.systems import ExtendedSystem
 
 RESAMPLES = 2000
@@ -225,7 +226,7 @@ def note_on_gain(
     note = "No fit uses these windows."
     refit = "The refit is"
     if changed_s is not None:
-        note += f" Windows of this log are of the unit from {changed_s:.4g} s on."
+        note += f" Windows of this log are of the unit from {seconds(changed_s)} s on."
         refit = "The refits of the whole log and of this part are"
     if as_given:
         return (

@@ -43,12 +43,29 @@ def split_part(path: str | Path) -> tuple[Path, tuple[float, float] | None]:
 
 
 def named_part(path: str | Path, start: float | None = None, stop: float | None = None) -> str:
-    """Return the name of a part of a log, for a command line.
+    """Return the name of a part of a log, for a command line. A part of a part is one of the log.
 
     Args:
-        path: Path of the log.
+        path: Path of the log, or of a part of it.
         start: Begin of the part [s]; None for that of the log.
         stop: End of the part [s]; None for that of the log.
     """
-    ends = ["" if end is None else f"{end:.6g}" for end in (start, stop)]
-    return f"{path}{MARK}{','.join(ends) if stop is not None else ends[0]}"
+    whole, (first, last) = _split(Path(path))
+    begin = max((t for t in (start, first) if t is not None), default=None)
+    end = min((t for t in (stop, last) if t is not None), default=None)
+    ends = ["" if t is None else seconds(t) for t in (begin, end)]
+    return f"{whole}{MARK}{','.join(ends) if end is not None else ends[0]}"
+
+
+def seconds(t: float) -> str:
+    """Return a time [s] to the millisecond: stamps may count from the start of a machine, long ago."""
+    return f"{t:.3f}".rstrip("0").rstrip(".")
+
+
+def _split(path: Path) -> tuple[Path, tuple[float | None, float | None]]:
+    whole, part = split_part(path)
+    start, stop = (None, None) if part is None else part
+    return whole, (
+        None if start is None or math.isinf(start) else start,
+        None if stop is None or math.isinf(stop) else stop,
+    )

@@ -192,6 +192,9 @@ def _part(recording: Recording, part: tuple[float, float], min_samples: int, min
             f"{recording.start:.6g} to {recording.stop:.6g} s"
         )
     cut = replace(recording.between(start, stop), path=path)
+    # The command that holds at the begin is one of this part, however long ago it was sent.
+    held = {n: replace(c, t=np.maximum(c.t, start)) for n, c in cut.channels.items() if c.kind == "command"}
+    cut = replace(cut, channels={**cut.channels, **held})
     check_content(path, cut.channels, min_samples, min_seconds, True)
     return cut
 

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from deepkoco.diagnose.residuals.residuals import dispersion
 from deepkoco.diagnose.verdict.midway import changed_midway, clearest_changes
 from deepkoco.excitation.record import record
 from deepkoco.fit.data.windows import cut_windows, moving
+from deepkoco.logs.part import seconds
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import make_system
 from deepkoco.unit import make_unit
@@ -64,8 +66,8 @@ def test_a_weight_that_changes_in_the_middle_is_seen_with_its_time_and_its_value
 def test_the_parts_are_named_as_the_command_takes_them():
     found = asked(joined(log(1), log(2, gravity_torque=0.7 * WEIGHT)))
     said = found.evidence("logs/monday.csv").text
-    assert f'deepkoco diagnose "logs/monday.csv#t={found.until_s:.6g}"' in said
-    assert f'--healthy "logs/monday.csv#t=,{found.after_s:.6g}"' in said
+    assert f'deepkoco diagnose "logs/monday.csv#t={seconds(found.until_s)}"' in said
+    assert f'--healthy "logs/monday.csv#t=,{seconds(found.after_s)}"' in said
     assert "#t=" not in found.evidence(None).text
 
 
@@ -125,7 +127,16 @@ def test_the_gain_counts_windows_after_the_change_and_says_so(dropped):
     gain, until = dropped.gain, dropped.unexplained["changed_midway"]["until_s"]
     assert (gain.replayed.t0 >= until).all()
     assert gain.channels[0].extended < 0.2 * min(gain.channels[0].refit, gain.channels[0].baseline)
-    assert f"of the unit from {until:.4g} s on" in dropped.gain_note
+    assert f"of the unit from {seconds(until)} s on" in dropped.gain_note
+
+
+def test_a_log_that_rests_beside_it_changes_nothing():
+    rest = log(4)
+    still = {n: replace(c, value=np.full(len(c), c.value[0])) for n, c in rest.channels.items()}
+    moving_one = replace(joined(log(1), log(2, gravity_torque=0.7 * WEIGHT)), path=Path("a.csv"))
+    both = [moving_one, replace(rest, channels=still, path=Path("b.csv"))]
+    found = diagnose(both, make_system("torque_pendulum"))
+    assert 'deepkoco diagnose "a.csv#t=' in found.unexplained["signatures"][0]["text"]
 
 
 def test_headline_and_report_say_that_the_unit_changed(dropped, tmp_path):

@@ -103,6 +103,10 @@ def test_an_effect_a_little_beyond_null_by_chance_is_no_fault(stage):
     fit = fitted({"gain_drift.rate": -2.8e-5}, 1.3e-5)
     assert tolerated(problem, learned, KNOWN["gain_drift"], fit, 1.0)
     assert not tolerated(problem, start, KNOWN["gain_drift"], fit, 1.0)
+    # And a learned value that is nothing itself, of either sign, allows nothing.
+    for nothing in (1e-9, -1e-9):
+        hardly = replace(start, values={**start.values, "gain_drift.rate": nothing})
+        assert not tolerated(problem, hardly, KNOWN["gain_drift"], fit, 1.0)
 
 
 def test_cause_without_a_size_is_never_tolerated(stage):

@@ -30,3 +30,20 @@ def test_a_goal_may_jump_by_a_turn_where_the_position_follows_it():
     position = np.interp(T, [0.0, 5.0, 8.0, 10.0], [0.1, 0.1, 2.0 * TURN, 2.0 * TURN])
     found = in_turns_of(T, goal, T, position, position % TURN)
     assert found == pytest.approx(goal)
+
+
+def test_a_step_over_the_seam_by_the_short_way_is_followed_that_way():
+    # From 170 to -100 deg: 90 deg onwards for a sensor that turns once around, 270 back for the numbers.
+    goal = np.radians(np.where(T < 5.0, 170.0, -100.0))
+    position = np.radians(np.interp(T, [0.0, 5.0, 6.0, 10.0], [170.0, 170.0, 260.0, 260.0]))
+    found = in_turns_of(T, goal, T, position, np.mod(position + np.pi, TURN) - np.pi)
+    assert found == pytest.approx(np.radians(np.where(T < 5.0, 170.0, 260.0)))
+
+
+def test_a_step_by_the_long_way_is_followed_that_way_although_the_sensor_crosses_its_seam():
+    goal = np.radians(np.where(T < 5.0, 5.0, 355.0))
+    position = np.radians(
+        np.interp(T, [0.0, 5.0, 6.0, 6.2, 6.4, 10.0], [5.0, 5.0, 350.0, 362.0, 355.0, 355.0])
+    )
+    found = in_turns_of(T, goal, T, position, position % TURN)
+    assert found == pytest.approx(goal)

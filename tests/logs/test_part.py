@@ -1,6 +1,7 @@
 """A part of a log, named by its path."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,13 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from deepkoco.cli.command_line import main
 from deepkoco.cli.logs import result_folder
 from deepkoco.excitation.record import record
 from deepkoco.logs import LogError, read_log, read_logs, write_log
 from deepkoco.logs.part import named_part, split_part
 from deepkoco.unit import make_unit
 
-TIMES = st.floats(-1e4, 1e4).map(lambda t: float(f"{t:.6g}"))
+TIMES = st.floats(-1e4, 1e4).map(lambda t: round(t, 3) + 0.0)
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +28,7 @@ def log(tmp_path_factory):
 
 @given(start=TIMES, seconds=st.floats(0.1, 1e3))
 def test_a_part_is_read_from_its_name_as_it_was_written(start, seconds):
-    stop = float(f"{start + seconds:.6g}")
+    stop = round(start + seconds, 3)
     if start < stop:
         assert split_part(named_part("a/log.csv", start, stop)) == (Path("a/log.csv"), (start, stop))
     assert split_part(named_part("log.csv", start)) == (Path("log.csv"), (start, math.inf))
@@ -48,6 +50,31 @@ def test_a_part_has_the_samples_of_its_time_and_its_own_path(log):
 def test_parts_are_logs_wherever_logs_are_given(log):
     first, second = read_logs([f"{log}#t=,3", f"{log}#t=3"], "torque_pendulum")
     assert (first.stop, second.start) == (pytest.approx(3.0, abs=0.02), pytest.approx(3.0, abs=0.02))
+
+
+def test_a_part_of_a_part_is_one_of_the_log():
+    assert named_part("log.csv#t=2,30", 12.5) == "log.csv#t=12.5,30"
+    assert named_part("log.csv#t=2,30", stop=12.5) == "log.csv#t=2,12.5"
+    assert named_part("log.csv#t=2", 1.0) == "log.csv#t=2"
+
+
+def test_stamps_of_a_machine_that_runs_for_weeks_keep_their_milliseconds():
+    assert named_part("log.csv", 1234567.8) == "log.csv#t=1234567.8"
+    assert result_folder(None, Path("run.csv#t=1234561.2"), "_d").name == "run_from_1234561.2_s_d"
+
+
+def test_a_command_that_was_sent_long_before_a_part_holds_in_it(tmp_path, log):
+    whole = read_log(log)
+    (name,) = whole.names("command")
+    few = replace(whole.channels[name], t=np.array([0.0, 1.0]), value=np.array([0.1, 0.2]))
+    path = write_log(tmp_path / "few.csv", replace(whole, channels={**whole.channels, name: few}))
+    command = read_log(f"{path}#t=4").channels[name]
+    assert (command.t.tolist(), command.value.tolist()) == ([4.0], [0.2])
+
+
+def test_inspect_says_that_it_looks_at_whole_logs(log, capsys):
+    assert main(["inspect", f"{log}#t=1,4"]) == 2
+    assert "inspect looks at whole logs" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("text", ["", ",", "4,2", "2,2", "a,3", "nan", "1,2,3"])

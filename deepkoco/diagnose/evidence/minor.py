@@ -16,6 +16,7 @@ from deepkoco.fit.fit import Fit, FitProblem
 # Share of what all causes explain, below which a further cause describes the form of the first: a friction is never
 # exactly Coulomb's, and a motion with little noise shows it. Second causes that were there explained 6 % and more.
 LEAST_SHARE = 0.02
+BEYOND = 1.1  # of the way from a learned value to null, up to which a log may show less than the healthy logs
 
 
 class Minor(NamedTuple):
@@ -39,8 +40,8 @@ def tolerated(problem: FitProblem, start: Baseline, cause: Cause, fit: Fit, defl
 
     The 95 % interval of every size of the cause must lie within its tolerance about the baseline's value. Less of an
     effect than the healthy logs show is no fault either: what a simulation learned from them may only imitate a model
-    error of their motions. The interval must then not lie beyond null by more than the tolerance. A cause without such
-    a parameter is never tolerated.
+    error of their motions. So the interval may reach to null, and a tenth of what was learned beyond it. A cause
+    without such a parameter is never tolerated.
 
     Args:
         problem: The windows.
@@ -59,9 +60,9 @@ def tolerated(problem: FitProblem, start: Baseline, cause: Cause, fit: Fit, defl
         i = fit.free.index(parameter.name)
         reach = 1.96 * float(np.sqrt(max(fit.covariance[i, i], 0.0) * deflation))
         value, learned = fit.values[parameter.name], start.values[parameter.name]
-        away = abs(value - learned) + reach
-        if (span := nulls.get(parameter.name, learned) - learned) * (value - learned) > 0.0:
-            away = min(away, abs(value - learned) - reach - abs(span))
+        span = nulls.get(parameter.name, learned) - learned
+        least, greatest = learned + min(BEYOND * span, 0.0), learned + max(BEYOND * span, 0.0)
+        away = max(least - (value - reach), value + reach - greatest)
         most = cause.tolerance(Healthy(parameter, load, period, dict(fit.values)))
         if not away <= (most if is_changed(cause) else start.roughness * most):
             return False

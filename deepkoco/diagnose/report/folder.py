@@ -23,7 +23,7 @@ from deepkoco.pages.links import Link
 from deepkoco.systems import System, save_model
 from deepkoco.systems.trees.robot_files import CHANGES_FILE, write_robot
 from deepkoco.systems.trees.tree import TreeError
-from deepkoco.systems.trees.write_back import tree_of
+from deepkoco.systems.trees.write_back import from_model_file
 
 DPI = 130  # of the picture files in the folder of the page
 COLOURS_OF_A_PICTURE = 128  # enough for lines and text; the file is a third as large
@@ -81,7 +81,7 @@ def write_report(
 
 def _write_robot(model: System, partial: Path, out: Path) -> None:
     """Write the mended file of a robot that was read from MJCF or URDF; nothing for other systems."""
-    if tree_of(model) is None:
+    if not from_model_file(model):
         return
     try:
         write_robot(model, partial, out)

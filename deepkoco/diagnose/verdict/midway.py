@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from deepkoco.diagnose.baseline import Baseline, refit
+from deepkoco.diagnose.data import MIN_TRAINING_WINDOWS
 from deepkoco.diagnose.diagnosis import Evidence
 from deepkoco.diagnose.gain import Gain, gain_of_fits
 from deepkoco.diagnose.refitted import Refitted
@@ -21,7 +22,7 @@ from deepkoco.diagnose.residuals.residuals import dispersion
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.fit.solve.scaled_inverse import DivergedError
-from deepkoco.logs.part import named_part
+from deepkoco.logs.part import named_part, seconds
 from deepkoco.pages.units import in_one_unit
 
 FEWEST = 3  # windows before the change, and after it; of these, the one next to it is in neither fitted part
@@ -64,7 +65,8 @@ class ChangedMidway:
     def when(self) -> str:
         """What happened and when, as a clause."""
         changed = "changed" if self.white else "may have changed"
-        return f"the unit {changed} in the middle of this log, between {self.after_s:.4g} and {self.until_s:.4g} s"
+        between = f"between {seconds(self.after_s)} and {seconds(self.until_s)} s"
+        return f"the unit {changed} in the middle of this log, {between}"
 
     def evidence(self, log: str | Path | None) -> Evidence:
         """Return the change as a property of the residuals, and what to do next.
@@ -74,7 +76,9 @@ class ChangedMidway:
         """
         reach = "" if self.white else ", though not down to the noise"
         todo = "Diagnose the later part alone, with the part before as a healthy log"
-        if log is not None:
+        if len(self.problem.windows) < MIN_TRAINING_WINDOWS:
+            todo = "Record more of the unit as it is now, and diagnose that with the part before as a healthy log"
+        elif log is not None:
             later, former = named_part(log, self.until_s), named_part(log, stop=self.after_s)
             todo += f': deepkoco diagnose "{later}" --healthy "{former}", with the other options of this diagnosis'
         text = (

@@ -199,8 +199,8 @@ def _signatures(
     found = signatures(request.system, explanation.base.train, judgement.final)
     if judgement.midway is None:
         return found
-    (log,) = {r.path for r in request.recordings}  # a change is looked for in a single log
-    return (judgement.midway.evidence(log), *found)
+    (log,) = set(explanation.base.train.log.tolist())  # others may rest
+    return (judgement.midway.evidence(request.recordings[log].path), *found)
 
 
 def _moved(explanation: Explanation, judgement: Judgement) -> tuple[Moved, ...]:

@@ -31,6 +31,10 @@ def in_turns_of(
     """
     if len(goal) == 0 or not begins_again(shown):
         return goal
-    result = np.unwrap(goal) if begins_again(goal) else goal
-    held = result[np.maximum(np.searchsorted(t, t_position, side="right") - 1, 0)]
-    return result + TURN * round(float(np.median(position - held)) / TURN)
+    latest = np.maximum(np.searchsorted(t, t_position, side="right") - 1, 0)
+    tried = []
+    # Goals are steps, so a jump over the seam can be the short way or the long one: the position says which it was.
+    for given in (goal, np.unwrap(goal)):
+        turned = given + TURN * round(float(np.median(position - given[latest])) / TURN)
+        tried.append((float(np.abs(position - turned[latest]).mean()), turned))
+    return min(tried, key=lambda pair: pair[0])[1]

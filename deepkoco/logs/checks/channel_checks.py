@@ -118,7 +118,7 @@ def _in_degrees(column: ChannelColumn) -> bool:
     No usual unit is smaller, so a long range is that of a motor.
     """
     unit = parse_unit(column.value.unit)
-    return unit.quantity == "angle" and abs(column.scale) * unit.factor <= parse_unit("deg").factor
+    return unit.quantity == "angle" and min(abs(column.scale), 1.0) * unit.factor <= parse_unit("deg").factor
 
 
 def derivative_pairs(channels: Mapping[str, Series]) -> list[tuple[str, str]]:

@@ -53,7 +53,9 @@ def hold_joints(spec: Any, held: Mapping[str, float], kept: Collection[str] = ()
         alone = "" if follower.leader in chosen else f': "{follower.leader}" moves its own bodies alone'
         notes.append(f'the joint "{follower.name}" follows "{follower.leader}" and is held{alone}')
     for equality in list(spec.equalities):
-        if equality.name1 in kept or equality.name2 in kept:
+        # Bodies and sites may have the names of joints; what couples these is no matter of a follower.
+        coupled = equality.type == mujoco_library().mjtEq.mjEQ_JOINT
+        if coupled and (equality.name1 in kept or equality.name2 in kept):
             spec.delete(equality)
     if not chosen:
         return ()
@@ -116,8 +118,9 @@ def followers(spec: Any, chosen: Mapping[str, float]) -> list[Follower]:
         if name not in joints or (leader and leader not in joints):
             continue  # MuJoCo says so when it compiles
         if leader and name in moved and leader not in moved:
-            name, leader, offset = leader, name, 0.0
-            ratio = 1.0 / ratio if ratio else 0.0
+            name, leader = leader, name
+            # The line read the other way.
+            offset, ratio = (-offset / ratio, 1.0 / ratio) if ratio else (0.0, 0.0)
         if any(float(c) for c in equality.data[2:5]):
             ratio = 0.0  # no straight line: what follows it is held
         if name not in chosen:

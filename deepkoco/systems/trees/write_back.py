@@ -16,6 +16,7 @@ from deepkoco.systems.effects.scaled import SCALED
 from deepkoco.systems.extended import ExtendedSystem
 from deepkoco.systems.system import System
 from deepkoco.systems.trees.compile_tree import compile_tree
+from deepkoco.systems.trees.following import FollowingSystem
 from deepkoco.systems.trees.model_file import read_spec
 from deepkoco.systems.trees.mujoco_library import mujoco_library
 from deepkoco.systems.trees.parameters import AXES
@@ -70,6 +71,12 @@ def tree_of(system: System) -> TreeSystem | None:
     return base if isinstance(base, TreeSystem) and base.origin is not None else None
 
 
+def from_model_file(system: System) -> bool:
+    """Whether a system with effects was read from MJCF or URDF, also one that cannot be written back."""
+    base = system.base if isinstance(system, ExtendedSystem) else system
+    return isinstance(base, TreeSystem | FollowingSystem) and base.origin is not None
+
+
 def extended_mjcf(system: System, folder: str | Path = ".") -> WriteBack:
     """Put the values and the effects of a system into the MJCF that it was read from.
 
@@ -83,9 +90,14 @@ def extended_mjcf(system: System, folder: str | Path = ".") -> WriteBack:
         The text, what changed, and what the file cannot hold.
 
     Raises:
-        TreeError: The system is no such robot, or the file that it was read from is gone.
+        TreeError: The system is no such robot, joints of it follow others, or the file that it was read from is gone.
     """
     robot = tree_of(system)
+    if robot is None and from_model_file(system):
+        raise TreeError(
+            f"{system.name} has joints that follow others, and such a robot is not written back yet; model.yaml has "
+            "all values"
+        )
     if robot is None:
         raise TreeError(
             f"{system.name} was not read from an MJCF or URDF file, so there is none to write back to"

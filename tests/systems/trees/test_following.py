@@ -12,10 +12,11 @@ from hypothesis import strategies as st
 
 from deepkoco.systems import ExtendedSystem, Motion, load_system
 from deepkoco.systems.model_yaml import save_model
-from deepkoco.systems.trees import TreeSystem
+from deepkoco.systems.trees import TreeError, TreeSystem
 from deepkoco.systems.trees.compile_tree import compile_tree
 from deepkoco.systems.trees.following import FollowingSystem
-from deepkoco.systems.trees.held_joints import Follower
+from deepkoco.systems.trees.held_joints import Follower, followers, hold_joints
+from deepkoco.systems.trees.write_back import extended_mjcf
 from tests.systems.trees.random_trees import random_mjcf
 
 LINKAGE = """<robot name="linkage"><link name="base"/>
@@ -117,6 +118,35 @@ def test_a_joint_that_follows_with_little_mass_is_held(linkage):
     notes = " ".join(linkage(0.1).notes)
     assert '"coupler" follows "crank" and is held' in notes
     assert '"rocker" follows "crank" and moves with it' in notes
+
+
+def test_a_linkage_is_not_written_back_and_this_is_said(linkage, tmp_path):
+    with pytest.raises(TreeError, match="joints that follow others"):
+        extended_mjcf(linkage(1.0), tmp_path)
+
+
+TWO = """<mujoco><worldbody>
+  <body name="a"><joint name="ja" axis="0 1 0"/><geom type="capsule" size=".02" fromto="0 0 0 .3 0 0" mass="1"/>
+    <body name="jb" pos=".3 0 0"><joint name="jb" axis="0 1 0"/>
+      <geom type="capsule" size=".02" fromto="0 0 0 .3 0 0" mass="1"/></body></body>
+  <body name="jc" pos="0 1 0"><joint name="jc" axis="0 1 0"/>
+    <geom type="capsule" size=".02" fromto="0 0 0 .3 0 0" mass="1"/></body></worldbody>
+  <actuator><motor name="m" joint="ja"/></actuator><equality>{equality}</equality></mujoco>"""
+
+
+def test_a_line_from_the_joint_that_is_driven_is_read_the_other_way():
+    spec = mujoco.MjSpec.from_string(
+        TWO.format(equality='<joint joint1="ja" joint2="jb" polycoef="0.7 2 0 0 0"/>')
+    )
+    (found,) = followers(spec, {})
+    assert found == Follower("jb", "ja", -0.35, 0.5)
+
+
+def test_what_couples_bodies_stays_where_joints_of_the_same_name_follow():
+    both = '<joint joint1="jb" joint2="ja"/><connect body1="jb" body2="jc" anchor="0 0 0"/>'
+    spec = mujoco.MjSpec.from_string(TWO.format(equality=both))
+    hold_joints(spec, {}, kept=("jb",))
+    assert [e.type for e in spec.equalities] == [mujoco.mjtEq.mjEQ_CONNECT]
 
 
 def test_a_linkage_can_be_simulated_and_stored(linkage, tmp_path):
