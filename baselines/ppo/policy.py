@@ -49,7 +49,8 @@ class PpoPolicy:
             a_k (B, M), in the environment's units.
         """
         networks = self.networks
-        seen = networks.observed(torch.as_tensor(np.asarray(observations, np.float32)))
+        # In doubles where the environment has them, as in training: moments are taken off before single precision.
+        seen = networks.observed(torch.as_tensor(np.asarray(observations)))
         return networks.to_environment(networks.actor(seen)).numpy()
 
 

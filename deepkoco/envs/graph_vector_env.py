@@ -373,7 +373,8 @@ class GraphVectorEnv(VectorEnv):
     def command_of(self, actions: Tensor) -> Tensor:
         """The supervisor's output (B, ...) for actions (B, ...), as `step` has it, in operations of torch."""
         given = actions.to(_torch_type(self.single_action_space.dtype)).to(_torch_type(self._action_type))
-        return given.reshape(len(given), *self._action_shape[1:])
+        # An infinite number less itself is none, which no limit hides afterwards.
+        return (given + (given - given)).reshape(len(given), *self._action_shape[1:])
 
     def _observation(self) -> np.ndarray:
         space = self.single_observation_space

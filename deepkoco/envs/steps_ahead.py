@@ -47,7 +47,9 @@ class StepsAhead:
     """Takes steps until an episode ends, without knowing when that will be.
 
     An executor takes a number of steps at once. Where an episode ended on the way, the steps behind its end are left
-    out by another run from the same state, which is never changed. The number follows how long that went well.
+    out by another run from the same state, which is never changed. The number follows how long that went well. A node
+    that is not pure has a state of its own (an engine, a robot), which no second run begins anew: there each step is
+    taken alone.
     """
 
     def __init__(self) -> None:
@@ -84,7 +86,7 @@ class StepsAhead:
 
         if not told:
             return run(most)
-        steps = min(most, self._steps)
+        steps = min(most, self._steps) if all(node.pure for node in runtime.graph.nodes) else 1
         after, taken = run(steps)
         ends = np.flatnonzero(taken["terminated"].cpu().numpy().any(1))
         if not len(ends):

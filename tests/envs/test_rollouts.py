@@ -11,7 +11,9 @@ from test_graph_env import together
 
 import deepkoco.envs  # noqa: F401 - registers the ids
 from deepkoco.envs.actions import ActionError
+from deepkoco.envs.graph_vector_env import GraphVectorEnv
 from deepkoco.envs.rollouts import PolicyRollouts, Rollout
+from deepkoco.graph import Connection, Graph, Node, Supervisor
 
 MODES = list(AutoresetMode)
 
@@ -113,3 +115,57 @@ def test_an_action_that_is_no_number_is_refused():
     rollouts.start(0)
     with pytest.raises(ActionError, match="is nan"):
         rollouts.run(push, 3, {"gain": torch.tensor(float("nan"))}, {"noise": torch.zeros(3, 4, 1)})
+
+
+@pytest.mark.parametrize("ahead", [False, True])
+def test_an_infinite_action_is_refused_either_way(ahead):
+    envs = gymnasium.make_vec(
+        "deepkoco/RodPendulumDelay-v0", num_envs=8, vectorization_mode="vector_entry_point"
+    )
+    rollouts = PolicyRollouts(envs, ahead)
+    rollouts.start(0)
+    with pytest.raises(ActionError):
+        rollouts.run(lambda parameters, seen: seen["observation"][:, :1] * 0 + float("inf"), 3)
+
+
+class Engine(Node):
+    """Counts its steps outside of the state, as an engine or a robot does."""
+
+    pure = False
+
+    def __init__(self):
+        super().__init__("engine", 10)
+        self.count = 0.0
+
+    def init(self, parameters, generator, batch):
+        self.count = 0.0
+        return {}
+
+    def initial_output(self, parameters, state, batch):
+        return torch.zeros(batch, 1)
+
+    def step(self, parameters, state, inputs):
+        self.count += 1.0
+        return state, torch.full((1, 1), self.count)
+
+
+class UntilFive(Supervisor):
+    inputs = ("engine",)
+
+    def observe(self, parameters, state, inputs, action):
+        count = inputs["engine"].data[:, -1]
+        return state, {"observation": count, "reward": count[:, 0], "terminated": count[:, 0] >= 5.0}
+
+
+def test_an_engine_is_never_driven_past_the_end_of_an_episode():
+    found = []
+    for ahead in (False, True):
+        agent = UntilFive("agent", 10, initial_action=torch.zeros(1))
+        graph = Graph([Engine(), agent], [Connection("engine", "agent")])
+        box = gymnasium.spaces.Box(-np.inf, np.inf, (1,))
+        envs = GraphVectorEnv(1, graph, gymnasium.spaces.Box(-1.0, 1.0, (1,)), box, 20)
+        rollouts = PolicyRollouts(envs, ahead)
+        rollouts.start(0)
+        found.append(rollouts.run(lambda parameters, seen: seen["observation"] * 0, 14))
+    assert np.array_equal(found[0].following, found[1].following)
+    assert found[0].terminated.sum() > 1

@@ -104,8 +104,8 @@ class Binding:
         signals: Mapping[str, Tensor],
         act: Callable[[Mapping[str, Tensor], Mapping[str, Tensor]], None],
     ) -> tuple[Work, dict[str, Tensor]]:
-        shapes = [(name, value.dtype, tuple(value.shape[2:])) for name, value in signals.items()]
-        key = function, *((k, v.dtype, tuple(v.shape)) for k, v in parameters.items()), *shapes
+        shapes = tuple((name, value.dtype, tuple(value.shape[2:])) for name, value in signals.items())
+        key = function, tuple((k, v.dtype, tuple(v.shape)) for k, v in parameters.items()), shapes
 
         def make() -> tuple[Work, dict[str, Tensor], dict[str, Tensor]]:
             values = {k: v.detach().to(self.device, copy=True) for k, v in parameters.items()}

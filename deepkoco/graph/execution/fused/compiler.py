@@ -15,16 +15,19 @@ from deepkoco.graph.execution.executor import NotCompiledError
 FLAGS = (
     "-std=c++17",
     "-O2",
-    "-fschedule-insns",
-    "-fsched-pressure",
     "-fopenmp-simd",
     "-march=native",
+    "-ffp-contract=fast",
     "-fno-math-errno",
     "-fno-trapping-math",
     "-fPIC",
     "-shared",
     "-Wno-psabi",
 )
+
+
+OF_GCC = ("-fschedule-insns", "-fsched-pressure")
+"""Flags that clang does not know."""
 
 
 class CompilerError(NotCompiledError):
@@ -50,6 +53,13 @@ def find_compiler() -> str:
     raise CompilerError("no C++ compiler (g++ or clang++) on the PATH")
 
 
+@lru_cache
+def flags_of(compiler: str) -> tuple[str, ...]:
+    """Flags for a compiler, which may be clang under any name."""
+    said = subprocess.run([compiler, "--version"], capture_output=True, text=True, check=False).stdout
+    return FLAGS if "clang" in said else (*FLAGS, *OF_GCC)
+
+
 def load(source: str) -> ctypes.CDLL:
     """Compile C++ into a library, or take the one that was made from the same source before.
 
@@ -57,7 +67,9 @@ def load(source: str) -> ctypes.CDLL:
         CompilerError: there is no compiler, or it fails.
     """
     compiler = find_compiler()
-    words = "\0".join([source, compiler, str(os.stat(compiler).st_mtime_ns), _processor(), *FLAGS])
+    words = "\0".join(
+        [source, compiler, str(os.stat(compiler).st_mtime_ns), _processor(), *flags_of(compiler)]
+    )
     name = f"{hashlib.sha256(words.encode()).hexdigest()[:32]}.so"
     for folder in (cache_folder, _own_folder):
         try:
@@ -75,7 +87,7 @@ def _compile(compiler: str, source: str, path: Path) -> None:
     with tempfile.TemporaryDirectory(dir=path.parent) as folder:
         text, library = Path(folder) / "kernel.cpp", Path(folder) / "kernel.so"
         text.write_text(source)
-        command = [compiler, *FLAGS, str(text), "-o", str(library)]
+        command = [compiler, *flags_of(compiler), str(text), "-o", str(library)]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode:
             raise CompilerError(f"{compiler} fails:\n{done.stderr[:2000]}")

@@ -193,8 +193,8 @@ class FusedExecutor:
     ) -> CompiledPolicy | None:
         """The policy's machine code; None if it cannot be compiled, which is said once."""
         kernel = state.binding.kernel
-        shapes = [(name, value.dtype, value.shape[2:]) for name, value in signals.items()]
-        key = id(kernel), function, *((k, v.dtype, v.shape) for k, v in parameters.items()), *shapes
+        shapes = tuple((name, value.dtype, value.shape[2:]) for name, value in signals.items())
+        key = id(kernel), function, tuple((k, v.dtype, v.shape) for k, v in parameters.items()), shapes
         if key not in self._policies:
             try:
                 self._policies[key] = CompiledPolicy(kernel, function, parameters, signals)

@@ -111,16 +111,22 @@ NARROW(floordiv_)
 template <class V> INLINE V fmod_(V a, V b) {
   return each2(a, b, [](auto x, auto y) { return std::fmod(x, y); });
 }
-// The quotient is small in every use that is not exotic; else the remainder is worked out digit by digit.
+// The quotient is small in nearly every use; else the remainder is worked out digit by digit.
 template <class V> INLINE V remainder_(V a, V b) {
   const V zero = splat<V>(0), q = floor_(a / b);
-  if (any(~lt(abs_(q), splat<V>(Limits<V>::whole / 4)))) {
-    V r = fmod_(a, b);
-    return sel(ne(r, zero) & ne(VB(lt(r, zero)), VB(lt(b, zero))), r + b, r);
-  }
   V r = a - q * b;
   r = sel(lt(zero, b) & lt(r, zero), r + b, sel(lt(b, zero) & lt(zero, r), r + b, r));
-  return sel((lt(zero, b) & le(b, r)) | (lt(b, zero) & le(r, b)), r - b, r);
+  r = sel((lt(zero, b) & le(b, r)) | (lt(b, zero) & le(r, b)), r - b, r);
+  // Lanes whose quotient is large, or so near to a whole number that rounding decides, and no other ones: none depends on
+  // another.
+  const V margin = abs_(a) * (4 * std::numeric_limits<typename Of<V>::T>::epsilon());
+  const V size = abs_(r), left = abs_(b) - size;
+  const VB doubtful = ~(lt(abs_(q), splat<V>(Limits<V>::whole / 4)) & lt(margin, size) & lt(margin, left));
+  if (__builtin_expect(any(doubtful), 0)) {
+    const V d = fmod_(a, b);
+    return sel(doubtful, sel(ne(d, zero) & ne(VB(lt(d, zero)), VB(lt(b, zero))), d + b, d), r);
+  }
+  return r;
 }
 template <class V> INLINE V truncdiv_(V a, V b) { return trunc_(a / b); }
 template <class V> INLINE V floordiv_(V a, V b) { return floor_((a - remainder_(a, b)) / b + splat<V>(0.5)); }
@@ -177,7 +183,8 @@ template <class V> INLINE bool too_many(V squares) {
 //
 // `Far` looks at each at once. `FarLater` adds their squares up, so that a body has no branches and its statements can be
 // mixed with those of others; if there are any, the body runs again with `FarApart`, which looks at each behind a call.
-// The compiler rounds a product and a sum together where no branch is between them, so these two give the same bits.
+// The compiler rounds a product and a sum together where no branch is between them, so all three give the same bits, and
+// no lane depends on the angles of another.
 struct Far {};
 struct FarApart {};
 struct FarLater {
@@ -187,9 +194,6 @@ struct FarLater {
   INLINE_MEMBER void add(VD turns) { twofold += turns * turns; }
   INLINE_MEMBER bool found() const { return too_many(single) | too_many(twofold); }
 };
-template <class V, class G> INLINE V unless_far(V turns, V a, V near, Far, G exact) {
-  return too_many(turns * turns) ? rarely(a, exact) : near;
-}
 template <class V, class G>
 static __attribute__((noinline, cold)) V unless_far(V turns, V a, V near, FarApart, G exact) {
   typename Of<V>::T n[W], x[W], y[W];
@@ -200,6 +204,9 @@ static __attribute__((noinline, cold)) V unless_far(V turns, V a, V near, FarApa
     if (!(n[l] * n[l] < Limits<V>::turns * Limits<V>::turns)) y[l] = exact(x[l]);
   memcpy(&near, y, sizeof y);
   return near;
+}
+template <class V, class G> INLINE V unless_far(V turns, V a, V near, Far, G exact) {
+  return too_many(turns * turns) ? unless_far(turns, a, near, FarApart{}, exact) : near;
 }
 template <class V, class G> INLINE V unless_far(V turns, V, V near, FarLater &far, G) {
   far.add(turns);
@@ -294,10 +301,12 @@ INLINE VD mantissa(VD a) { return from_bits<VD>((bits(a) & 0x000fffffffffffffLL)
 template <class V> INLINE V log_(V a) {
   typedef typename Of<V>::T T;
   const V smallest = splat<V>(std::numeric_limits<T>::min()), largest = splat<V>(std::numeric_limits<T>::max());
-  if (any(~(le(smallest, a) & le(a, largest)))) return each(a, [](T x) { return std::log(x); });
   const V m = mantissa(a);
   const VB upper = lt(splat<V>(T(1.4142135623730951)), m);
   const V x = sel(upper, m * T(0.5), m), n = sel(upper, exponent(a) + 1, exponent(a));
   const V s = (x - 1) / (x + 1), y = s * s;
-  return n * T(0.6931471805599453) + 2 * (s + s * y * logarithm_series(y));
+  const V near = n * T(0.6931471805599453) + 2 * (s + s * y * logarithm_series(y));
+  const VB odd = ~(le(smallest, a) & le(a, largest)); // these lanes alone, so that none depends on another
+  if (__builtin_expect(any(odd), 0)) return sel(odd, rarely(a, [](T x) { return std::log(x); }), near);
+  return near;
 }

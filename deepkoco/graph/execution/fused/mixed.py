@@ -39,10 +39,13 @@ _WHOLE = re.compile(r"\ba\d+\b(?!\[)")
 
 
 def mixes(body: Body) -> bool:
-    """Whether a body has only statements that can be mixed: definitions of lane vectors, and stores at its end."""
+    """Whether a body has only statements that can be mixed: definitions of lane vectors, and stores at its end.
+
+    Large constants stand in the pool of a node, which a mixed body does not open.
+    """
     stores = [line.startswith("st(") for line in body.lines]
     plain = all(store or line.startswith("const V") for line, store in zip(body.lines, stores, strict=True))
-    return plain and stores == sorted(stores) and len(stores) <= MOST_STATEMENTS
+    return plain and not body.shared and stores == sorted(stores) and len(stores) <= MOST_STATEMENTS
 
 
 def mixed_body(body: Body, head: str, exact: str, blocks: int) -> list[str]:

@@ -16,6 +16,7 @@ from deepkoco.graph.execution.fused.memory import address
 from deepkoco.graph.execution.fused.policy_source import policy_source
 from deepkoco.graph.execution.fused.program import input_examples, make_inputs, part, traced
 from deepkoco.graph.execution.fused.record import Field, lay_out
+from deepkoco.graph.execution.fused.source import MOST_IN_FLIGHT
 from deepkoco.graph.execution.fused.state import FusedState
 from deepkoco.graph.execution.policy import PolicyFunction
 from deepkoco.graph.execution.state import HorizonError
@@ -54,7 +55,7 @@ class CompiledPolicy:
         self.signals, self.signal_bytes = lay_out(
             {name: (value.dtype, tuple(value.shape[2:])) for name, value in signals.items()}
         )
-        check_stack(kernel.lanes * self.signal_bytes)
+        check_stack(MOST_IN_FLIGHT * kernel.lanes * self.signal_bytes)
         examples |= {
             f"g.{name}": torch.zeros(1, *field.shape, dtype=field.dtype)
             for name, field in self.signals.items()
