@@ -163,3 +163,18 @@ def test_columns_without_words_have_the_roles_of_their_units(tmp_path):
     # An actuator is called as the angle is; an angle is no torque.
     assert choices["A1"].column.name == "M1[Nm]"
     assert choices["A2"].column.name == "M2[Nm]"
+
+
+@pytest.mark.parametrize("name", ["angle_{}", "pos_{}"])
+def test_numbers_at_the_end_of_names_are_those_of_joints(tmp_path, name):
+    positions, torques = (name.format(1), name.format(2)), ("torque_1", "torque_2")
+    frame = pd.DataFrame({"t": 0.01 * np.arange(600), **swings(*positions, *torques)})
+    motors = '<motor name="m1" joint="first"/><motor name="m2" joint="second"/>'
+    choices, _, _ = machine(tmp_path, motors, frame)
+    found = {key: (c.column.name, c.unit) for key, c in choices.items() if c.column is not None}
+    assert found == {
+        "q_first": (positions[0], "rad"),
+        "q_second": (positions[1], "rad"),
+        "m1": ("torque_1", "N m"),
+        "m2": ("torque_2", "N m"),
+    }
