@@ -23,9 +23,7 @@ MOST_POINTS = 4000  # of the grid of times
 REACH = 0.2  # seconds on each side over which accelerations are compared
 LEAST = 4  # and steps of the grid
 LESS = 0.4  # share of the misfit as proposed below which other units are taken
-FITS = (
-    0.5  # misfit above which equations tell no counts: limits leave many turns, and the zero may be another
-)
+FITS = 0.5  # misfit above which equations tell no counts: limits leave many turns, the zero may be another
 ROOM = 2.0  # times its limit that a command may reach
 ALIKE = 1.5  # times the misfit of the best reading below which another one is told
 NEAR = 0.15  # as is one that differs from it by this share: masses and gains of the description are not exact either
