@@ -163,3 +163,46 @@ def test_columns_without_words_have_the_roles_of_their_units(tmp_path):
     # An actuator is called as the angle is; an angle is no torque.
     assert choices["A1"].column.name == "M1[Nm]"
     assert choices["A2"].column.name == "M2[Nm]"
+
+
+@pytest.mark.parametrize("name", ["angle_{}", "pos_{}"])
+def test_numbers_at_the_end_of_names_are_those_of_joints(tmp_path, name):
+    positions, torques = (name.format(1), name.format(2)), ("torque_1", "torque_2")
+    frame = pd.DataFrame({"t": 0.01 * np.arange(600), **swings(*positions, *torques)})
+    motors = '<motor name="m1" joint="first"/><motor name="m2" joint="second"/>'
+    choices, _, _ = machine(tmp_path, motors, frame)
+    found = {key: (c.column.name, c.unit) for key, c in choices.items() if c.column is not None}
+    assert found == {
+        "q_first": (positions[0], "rad"),
+        "q_second": (positions[1], "rad"),
+        "m1": ("torque_1", "N m"),
+        "m2": ("torque_2", "N m"),
+    }
+
+
+MOTORS = '<motor name="m1" joint="first"/><motor name="m2" joint="second"/>'
+
+
+def mapped(choices):
+    return {key: c.column.name for key, c in choices.items() if c.column is not None}
+
+
+@pytest.mark.parametrize("force", ["gripper_force[N]", "F_ext[N]"])
+def test_a_sensor_of_forces_is_no_command_of_a_torque(tmp_path, force):
+    angles = {"q_first": "q_first[rad]", "q_second": "q_second[rad]"}
+    frame = pd.DataFrame({"t": 0.01 * np.arange(600), **swings(*angles.values(), force, "M1[Nm]")})
+    choices, _, _ = machine(tmp_path, MOTORS, frame)
+    assert mapped(choices) == {**angles, "m1": "M1[Nm]"}
+    choices, _, _ = machine(tmp_path, MOTORS, frame.assign(**swings("M2[mNm]")))
+    assert mapped(choices) == {**angles, "m1": "M1[Nm]", "m2": "M2[mNm]"}
+
+
+@pytest.mark.parametrize(
+    "others",
+    [("tool_x[m]", "tool_z[m]"), ("gap [mm]",), ("pos_x[m]", "pos_y[m]"), ("camera[deg]",), ("pot_pos[V]",)],
+)
+def test_columns_that_are_in_the_unit_of_a_position_are_no_joints_beside_those_of_the_model(tmp_path, others):
+    words = ("theta1", "theta2", "u1[Nm]", "u2[Nm]")
+    frame = pd.DataFrame({"t": 0.01 * np.arange(600), **swings(*others, *words)})
+    choices, _, _ = machine(tmp_path, MOTORS, frame)
+    assert mapped(choices) == dict(zip(("q_first", "q_second", "m1", "m2"), words, strict=True))

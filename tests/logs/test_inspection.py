@@ -238,6 +238,13 @@ def test_propose_refuses_a_table_without_time(tmp_path):
         ("position[shoulder]", None, None, "shoulder"),
         ("joints.position[2]", None, 2, "2"),
         ("s", None, None, None),
+        ("angle_1", None, 1, None),
+        ("pos_m_min", None, None, None),
+        ("q_min", None, None, None),
+        ("v_m/min", "m/min", None, None),
+        ("v [m/min]", "m/min", None, None),
+        ("v_rev_s", "rev/s", None, None),
+        ("time_min", "min", None, None),
     ],
 )
 def test_read_name_splits_unit_number_and_joint(name, unit, number, joint):

@@ -13,6 +13,7 @@ import deepkoco
 from deepkoco.cli.command_line import main
 from deepkoco.excitation.record import record
 from deepkoco.logs import LogError, read_log, read_logs, write_log
+from deepkoco.logs.formats import open_log
 from deepkoco.logs.formats.recordings import recordings
 from deepkoco.unit import make_unit
 
@@ -82,12 +83,23 @@ def test_a_folder_is_searched_with_its_folders_and_without_other_files(tmp_path)
         ("t;x\n0,0;1,0\n", True),
         ("shoulder\nelbow\n", False),
         ("Read me, please\nThe log, of Monday\n", False),
+        ("Read me, please\nMonday, 4\nand Tuesday\n", False),
+        ("stamp,q\n2026-01-02T10:00:00.5Z,1.5\n2026-01-02T10:00:00.6Z,1.6\n", True),
+        ("stamp;mode\n10:00:00,5;auto\n10:00:00,6;\n", True),
+        ('t,q\n0.0,"[0.1, nan]"\n', True),
+        ("t\tq\tu\n0.0\t[0.1, 0.2]\t[1, 2]\n", True),
+        ("t,mode\n0.0,auto\n0.1,off\n", True),
+        ("t,x\r0,1\r1,2\r", True),
+        ("epoch 1, of 2\n  0%|  | 0/2\r 50%|# | 1/2\r100%|##| 2/2\n", False),
+        ("loss|step\r12|13\n12|14\r\n", False),
     ],
 )
 def test_a_text_in_a_folder_is_a_log_if_it_begins_with_names_and_numbers(tmp_path, text, log):
     (tmp_path / "a.txt").write_text(text)
     (tmp_path / "b.tsv").write_text("t\tx\n0\t1\n")
     assert [path.name for path in recordings([tmp_path])] == (["a.txt", "b.tsv"] if log else ["b.tsv"])
+    if log:
+        assert len(open_log(tmp_path / "a.txt").table("").frame) >= 1
 
 
 def test_a_pair_of_commands_and_states_is_one_recording(tmp_path):

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from deepkoco.logs.formats.csv_head import read_head
+from deepkoco.logs.formats.csv_head import read_head, with_line_ends
 from deepkoco.logs.formats.list_cells import split_lists
 from deepkoco.logs.formats.log_file import LogError, LogFile, Table
 
@@ -32,7 +32,7 @@ def read_csv(path: Path, names: Sequence[str] = ()) -> LogFile:
         LogError: it is empty, not UTF-8, has no header, a repeated name, or a row with more or fewer cells than
             the header has names.
     """
-    content = _decode(path)
+    content = with_line_ends(_decode(path))
     try:
         text, ahead, notes = read_head(content)
         first, _, _ = text.partition("\n")

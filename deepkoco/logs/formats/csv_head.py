@@ -13,6 +13,9 @@ COMMENT = ("#", "%", "//")
 DELIMITERS = ",;\t|"
 BEGINNING = 1 << 16  # bytes that tell a table from another text
 NUMBER = re.compile(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?|nan|NaN")
+DATE = re.compile(r"\d{4}-\d\d?-\d\d?([T ]\S+)?|\d\d?:\d\d(:\d\d([.,]\d+)?)?")
+LIST = re.compile(r"\[.*\]")
+ROWS = 20  # rows that tell a table in which numbers are few from a text
 
 
 class Head(NamedTuple):
@@ -57,18 +60,37 @@ def read_head(text: str) -> Head:
     return Head("\n".join([header, *rest]), ahead, tuple(notes))
 
 
+def with_line_ends(text: str) -> str:
+    """The text with line feeds where lines end in carriage returns alone; next to line feeds these end no line."""
+    return text if "\n" in text else text.replace("\r", "\n")
+
+
 def looks_like_table(path: Path) -> bool:
-    """Whether a text begins with names of columns and a row of as many numbers; notes and lists of names do not."""
+    """Whether a text begins with names of columns and rows of as many cells; notes and lists of names do not.
+
+    Half of a row are numbers, dates or lists of numbers, and those stand in the same columns of the rows below it.
+    """
     try:
         with path.open("rb") as file:
-            text = file.read(BEGINNING).decode("utf-8-sig", errors="replace").replace("\r\n", "\n")
+            raw = file.read(BEGINNING)
     except OSError:
         return False
-    lines = read_head(text).text.split("\n")
-    if len(lines) < 2:
+    text = with_line_ends(raw.decode("utf-8-sig", errors="replace").replace("\r\n", "\n"))
+    if len(raw) == BEGINNING:
+        text = text[: text.rfind("\n") + 1]  # the last line may be cut off
+    try:
+        lines = read_head(text).text.split("\n")
+        names, *rows = [_cells(line, lines[0]) for line in lines[: ROWS + 1] if line.strip()] or [[]]
+    except csv.Error:  # a carriage return in a line, as progress bars write
         return False
-    names, numbers = _cells(lines[0], lines[0]), _cells(lines[1], lines[0])
-    return len(names) > 1 and len(names) == len(numbers) and _numeric(numbers) and not _numeric(names)
+    if len(names) < 2 or _share(names) > 0.5 or not rows or _share(rows[0]) < 0.5:
+        return False
+    if _share(rows[0]) > 0.5:
+        return len(rows[0]) == len(names)
+    places = [k for k, cell in enumerate(rows[0]) if _is_value(cell)]
+    return all(
+        len(row) == len(names) and all(_is_value(row[k]) or not row[k] for k in places) for row in rows
+    )
 
 
 def _spaced(lines: list[str]) -> bool:
@@ -102,8 +124,18 @@ def _cells(line: str, header: str) -> list[str]:
 
 def _numeric(cells: list[str]) -> bool:
     """Whether the cells of a row are numbers, up to a few of text."""
+    return _share(cells) > 0.5
+
+
+def _share(cells: list[str]) -> float:
+    """Share of a row's filled cells that are values."""
     filled = [cell for cell in cells if cell]
-    return bool(filled) and sum(NUMBER.fullmatch(cell) is not None for cell in filled) > 0.5 * len(filled)
+    return sum(map(_is_value, filled)) / len(filled) if filled else 0.0
+
+
+def _is_value(cell: str) -> bool:
+    """Whether a cell is a number, a date, a time of the day or a list of numbers."""
+    return any(kind.fullmatch(cell) is not None for kind in (NUMBER, DATE, LIST))
 
 
 def _units(cells: list[str], names: list[str]) -> list[str] | None:

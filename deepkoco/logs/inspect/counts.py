@@ -16,6 +16,8 @@ PER_TURN = (
     4800, 9600, 36000,
 )  # fmt: skip
 """Counts per turn of usual encoders, after the four edges of each line, and of usual servos."""
+ARCS = (1229,)
+"""Counts that a turn would have on servos that number an arc: 1024 over 300 deg. They never begin again."""
 WRAPS = 0.8  # of a turn that a jump covers
 NEARLY = 0.9  # share of a turn that a position which wraps visits
 

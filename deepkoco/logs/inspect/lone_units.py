@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from deepkoco.logs.inspect.choice import Choice, Proposal
-from deepkoco.logs.inspect.counts import PER_TURN, Counts, in_counts, turn_of
+from deepkoco.logs.inspect.counts import ARCS, PER_TURN, Counts, in_counts, turn_of
 from deepkoco.logs.inspect.evidence import Samples
 from deepkoco.logs.units import factor_between, parse_unit
 from deepkoco.systems import Motion, System
@@ -23,6 +23,7 @@ MOST_POINTS = 4000  # of the grid of times
 REACH = 0.2  # seconds on each side over which accelerations are compared
 LEAST = 4  # and steps of the grid
 LESS = 0.4  # share of the misfit as proposed below which other units are taken
+FITS = 0.5  # misfit above which equations tell no counts: limits leave many turns, the zero may be another
 ROOM = 2.0  # times its limit that a command may reach
 ALIKE = 1.5  # times the misfit of the best reading below which another one is told
 NEAR = 0.15  # as is one that differs from it by this share: masses and gains of the description are not exact either
@@ -60,7 +61,8 @@ def with_likely_units(system: System, proposal: Proposal, samples: Mapping[str, 
     if not groups:
         return proposal
     tried = [_readings(group, samples) for group in groups]
-    best, alike = tuple(readings[0] for readings in tried), ()
+    best = tuple(readings[0] for readings in tried)
+    alike: tuple[tuple[Reading, ...], ...] = ((),) * len(groups)
     if any(len(readings) > 1 for readings in tried):
         if positions is None or len(drives) < len(system.commands):
             tried = [readings[:1] for readings in tried]
@@ -69,8 +71,8 @@ def with_likely_units(system: System, proposal: Proposal, samples: Mapping[str, 
         except (RuntimeError, ValueError):  # equations that cannot be evaluated there
             return proposal
     changed = {
-        c.channel.name: _read(c, reading, alike)
-        for group, reading in zip(groups, best, strict=True)
+        c.channel.name: _read(c, reading, others)
+        for group, reading, others in zip(groups, best, alike, strict=True)
         for c in group
         if reading != Reading(c.unit)
     }
@@ -96,10 +98,11 @@ def _readings(group: Sequence[Choice], samples: Mapping[str, Samples]) -> list[R
     units = [Reading(u) for u in UNITS.get(quantity, ()) if u != first.unit]
     own = samples[first.column.label]
     if in_counts(first, own):
-        turn = turn_of(own[1])
+        # A goal may step from one end to the other without beginning again.
+        turn = turn_of(own[1]) if first.channel.kind == "measurement" else None
         if turn is not None:
             return [Reading("rad", turn)]
-        units += [Reading("rad", Counts(n, False)) for n in PER_TURN]
+        units += [Reading("rad", Counts(n, False)) for n in sorted({*PER_TURN, *ARCS})]
     return [Reading(first.unit), *units]
 
 
@@ -153,27 +156,28 @@ def _best_readings(
     tried: Sequence[Sequence[Reading]],
     drives: list[Choice],
     samples: Mapping[str, Samples],
-) -> tuple[tuple[Reading, ...], tuple[Reading, ...]]:
-    """The reading of each group, and readings that fit about as well."""
-    proposed = tuple(readings[0] for readings in tried)
+) -> tuple[tuple[Reading, ...], tuple[tuple[Reading, ...], ...]]:
+    """The reading of each group, and for each group the readings of it that fit about as well."""
+    proposed, none = tuple(readings[0] for readings in tried), ((),) * len(tried)
     found: dict[tuple[Reading, ...], float] = {}
     if len(list(product(*tried))) == 1:
-        return proposed, ()
+        return proposed, none
     for readings in product(*tried):
         taken = {c.channel.name: r for group, r in zip(groups, readings, strict=True) for c in group}
         # Linear equations hold in any unit that goals and positions share: the limits of the commands then decide.
         beyond = any(_beyond(c, taken, samples) for c in drives)
-        found[readings] = math.inf if beyond else _misfit(system, positions, taken, drives, samples)
+        misfit = math.inf if beyond else _misfit(system, positions, taken, drives, samples)
+        counted = any(r.counts is not None and not r.counts.wraps for r in readings)
+        found[readings] = math.inf if counted and misfit > FITS else misfit
     best = min(found, key=lambda readings: found[readings])
     if not found[best] < LESS * found[proposed]:
-        return proposed, ()
-    alike = {
-        r
-        for readings, misfit in found.items()
-        for r, b in zip(readings, best, strict=True)
-        if r != b and (misfit < ALIKE * found[best] or abs(r.scale / b.scale - 1.0) < NEAR)
-    }
-    return best, tuple(sorted(alike, key=lambda r: -r.scale))
+        return proposed, none
+    alike: list[set[Reading]] = [set() for _ in groups]
+    for readings, misfit in found.items():
+        for own, r, b in zip(alike, readings, best, strict=True):
+            if r != b and (misfit < ALIKE * found[best] or abs(r.scale / b.scale - 1.0) < NEAR):
+                own.add(r)
+    return best, tuple(tuple(sorted(own, key=lambda r: -r.scale)) for own in alike)
 
 
 def _beyond(choice: Choice, taken: Mapping[str, Reading], samples: Mapping[str, Samples]) -> bool:

@@ -161,10 +161,10 @@ def read_name(name: str) -> NameHints:
     parts = [part for part in re.split(r"[^A-Za-z0-9°%]+", rest) if part]
     if unit is None and joint is None:
         # Before words are split at capitals: "mNm" is a unit, not m and Nm.
-        parts, unit = _unit_suffix(parts)
+        parts, unit = _unit_suffix(parts, rest)
     parts = [word for part in parts for word in re.sub(r"([a-z])([A-Z])", r"\1_\2", part).split("_")]
     if unit is None and joint is None:
-        parts, unit = _unit_suffix(parts)
+        parts, unit = _unit_suffix(parts, rest)
     words: list[str] = []
     number = int(joint) if joint is not None and joint.isdecimal() else None
     for part in parts:
@@ -186,16 +186,26 @@ def read_name(name: str) -> NameHints:
     )
 
 
-def _unit_suffix(parts: list[str]) -> tuple[list[str], str | None]:
+def _unit_suffix(parts: list[str], name: str) -> tuple[list[str], str | None]:
+    """The parts of a name without the unit that they end in, and that unit; None where they end in none."""
     for length in (3, 2, 1):
         if len(parts) > length:
             text = "_".join(parts[-length:])
-            # "v_m/min" and "v_m_min": whatever stands between the two has been taken for a separator.
+            # "v_rev/s" and "v_rev_s": whatever stands between the two has been taken for a separator.
             spelled = (text, "/".join(parts[-length:]))
             unit = SUFFIXES.get(text.lower()) or next((t for t in spelled if t in known_units()), None)
-            if unit is not None:
+            if unit is not None and not _another(unit, parts[:-length], name):
                 return parts[:-length], unit
     return parts, None
+
+
+def _another(unit: str, ahead: list[str], name: str) -> bool:
+    """Whether the end of a name that is spelled as a unit means something else.
+
+    A number counts joints, it is no ratio. "min" is a minimum, but after a slash, and in the name of a time.
+    """
+    minimum = unit.endswith("min") and not name.rstrip().endswith("/min")
+    return unit.isdecimal() or (minimum and not {word.lower() for word in ahead} & set(WORDS["time"]))
 
 
 def _is_time(unit: str | None) -> bool:

@@ -43,6 +43,7 @@ SPEED = {
 }
 EFFORT = {"load", "effort", "efforts", "torque", "torques", "tau", "current", "currents"}
 LOADS = ("torque", "force")
+RATES = {"angle": "angular velocity", "length": "velocity"}
 FILLER = {
     "joint",
     "joints",
@@ -74,27 +75,46 @@ class LogJoint:
     columns: dict[str, ColumnSurvey] = field(default_factory=dict)
 
 
-def log_joints(columns: Sequence[ColumnSurvey], joints: Sequence[str] = ()) -> list[LogJoint]:
+def log_joints(
+    columns: Sequence[ColumnSurvey], joints: Sequence[str] = (), units: Sequence[str] = ("rad", "m")
+) -> list[LogJoint]:
     """Group columns by joint, in the order of the log; joints without a position are left out.
 
     A column whose words say no role has the one that its unit says: ``A1[deg]`` is a position, ``M1[Nm]`` an effort.
-    A column that is called as a joint of the model, ``tilt``, is a position where it has no unit.
+    A column that is called as a joint of the model, ``tilt``, is a position where it has no unit. A unit alone speaks
+    less than words: where words name positions for all joints of the model, ``level[deg]`` is no joint.
 
     Args:
         columns: Those of the log.
         joints: Names of the model's joints.
+        units: Of the positions of the model's joints; a length is no position of a robot that has no slide.
     """
     found: dict[str, LogJoint] = {}
+    said: set[str] = set()
     known = {"_".join(_words(name)) for name in joints}
+    fitting = {parse_unit(unit).quantity for unit in units}
     for column in columns:
         if not column.usable:
             continue
         role, label = role_of(column)
+        role = role if _fits(column, role, fitting) else None
+        if role == "position" or label in known:
+            said.add(label)
         if role is None:
             role = _role_by_unit(column, named=label in known) or ("position" if label in known else None)
-        if role is not None:
+        if role is not None and _fits(column, role, fitting):
             found.setdefault(label, LogJoint(label)).columns.setdefault(role, column)
-    return [joint for joint in found.values() if "position" in joint.columns]
+    result = [joint for joint in found.values() if "position" in joint.columns]
+    named = [joint for joint in result if joint.label in said]
+    return named if joints and len(named) >= len(joints) else result
+
+
+def _fits(column: ColumnSurvey, role: str | None, fitting: set[str]) -> bool:
+    """Whether the unit in a column's name, if there is one, is that of a position or a speed of the model's joints."""
+    if column.hints.unit is None or role not in ("position", "speed", "goal speed"):
+        return True
+    quantity = parse_unit(column.hints.unit).quantity
+    return quantity in (fitting if role == "position" else {RATES[own] for own in fitting})
 
 
 def _role_by_unit(column: ColumnSurvey, *, named: bool = False) -> str | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -51,7 +52,7 @@ def propose_joints(surveys: Sequence[Survey], system: System) -> Proposal:
         system: a system whose measurements are named after its joints.
     """
     survey = surveys[0]
-    found = log_joints(survey.columns, system.joint_names)
+    found = log_joints(survey.columns, system.joint_names, system.state_units[: system.joints])
     matches = match_joints([joint.label for joint in found], system.joint_names)
     _add_loose_goals(survey, found)
     joints = _scaled(surveys, system, found, matches)
@@ -291,7 +292,8 @@ def _with_loose_efforts(
 ) -> list[Choice]:
     """Give efforts without names of joints, in their order, to the commands of forces that have no column.
 
-    A column in N m goes to a command in N m, and one in N to one in N, where there are such commands.
+    A column with a unit goes to a command whose unit measures the same: a sensor of forces in N drives no joint that
+    takes N m. Where a unit has more columns than commands, none of them is taken.
     """
     free = [
         k
@@ -302,13 +304,24 @@ def _with_loose_efforts(
         and parse_unit(choice.channel.unit).quantity not in SPEEDS
     ]
     result = list(commands)
-    if not loose or len(loose) > len(free):
+    wanted = Counter(parse_unit(commands[k].channel.unit).quantity for k in free)
+    quantities = [None if c.hints.unit is None else parse_unit(c.hints.unit).quantity for c in loose]
+    there = Counter(quantities)
+    kept = [
+        (column, quantity)
+        for column, quantity in zip(loose, quantities, strict=True)
+        if quantity is None or there[quantity] <= wanted[quantity]
+    ]
+    if len(kept) > len(free):
         return result
-    for column in loose:
+    for column, quantity in kept:
         unit = column.hints.unit
-        quantity = None if unit is None else parse_unit(unit).quantity
-        alike = [k for k in free if parse_unit(commands[k].channel.unit).quantity == quantity]
-        k = (alike or free)[0]
+        fitting = [
+            k for k in free if quantity is None or parse_unit(commands[k].channel.unit).quantity == quantity
+        ]
+        if not fitting:  # columns without a unit have taken the commands
+            continue
+        k = fitting[0]
         free.remove(k)
         channel = commands[k].channel
         result[k] = Choice(
