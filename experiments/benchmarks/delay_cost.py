@@ -6,12 +6,12 @@ one run, with given actions and with the policy of 2 x 64 tanh units. The ratio 
 """
 
 import argparse
-import csv
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import torch
 
 from deepkoco.graph import BatchedRuntime, draw_timing
@@ -94,10 +94,8 @@ def main(arguments: list[str] | None = None) -> int:
             f"[{float(str(row['time_to_none_low'])):.2f}, {float(str(row['time_to_none_high'])):.2f}]"
         )
     if given.out is not None:
-        with whole_file(given.out) as partial, partial.open("w", newline="") as file:
-            writer = csv.DictWriter(file, list(rows[0]))
-            writer.writeheader()
-            writer.writerows(rows)
+        with whole_file(given.out) as partial:
+            pd.DataFrame(rows).to_csv(partial, index=False)
     return 0
 
 

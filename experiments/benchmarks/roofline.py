@@ -9,12 +9,12 @@ with a sine alone.
 """
 
 import argparse
-import csv
 import ctypes
 import time
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import torch
 
 from deepkoco.graph.execution.fused.compiler import load
@@ -127,10 +127,8 @@ def main(arguments: list[str] | None = None) -> int:
             f"the kernel reaches {100 * float(str(row['kernel_of_it'])):.0f} % of it"
         )
     if given.out is not None:
-        with whole_file(given.out) as partial, partial.open("w", newline="") as file:
-            writer = csv.DictWriter(file, list(rows[0]))
-            writer.writeheader()
-            writer.writerows(rows)
+        with whole_file(given.out) as partial:
+            pd.DataFrame(rows).to_csv(partial, index=False)
     return 0
 
 

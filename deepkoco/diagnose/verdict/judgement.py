@@ -20,7 +20,7 @@ from deepkoco.diagnose.evidence.sanity_checks import (
     doubts_of_friction,
     doubts_of_names,
 )
-from deepkoco.diagnose.evidence.selected import learned_instead
+from deepkoco.diagnose.evidence.selected import Selected, learned_instead
 from deepkoco.diagnose.evidence.selection import FURTHER
 from deepkoco.diagnose.explanation import Explanation
 from deepkoco.diagnose.gain import Gain, gain_on_held_out, kept_as_given
@@ -129,8 +129,11 @@ def judge(request: DiagnosisRequest, explanation: Explanation) -> Judgement:
         midway = changed_midway(base.start, base.train, base.held if base.data.own else None)
         if midway is not None and more:
             # Causes that last are no explanation where two units without them are a far better one.
-            worse = final.chi2 > EXPLAINED * midway.left * base.train.samples
-            verdict, midway = ("unknown", midway) if worse else (verdict, None)
+            left_by_causes = final.chi2 / base.train.samples
+            if left_by_causes > EXPLAINED * midway.left:
+                verdict, doubts = "unknown", (*doubts, _outdone(found, left_by_causes, midway))
+            else:
+                midway = None
     rival = verdict in ("cause", "ambiguous") and rivalled(
         found, base.start, base.train, white, explanation.weighed
     )
@@ -188,6 +191,14 @@ def judge(request: DiagnosisRequest, explanation: Explanation) -> Judgement:
         midway,
     )
     return _with_final_gain(judgement, without, found.accepted, seed)
+
+
+def _outdone(found: Selected, left: float, midway: ChangedMidway) -> str:
+    names = [c.name for c in found.accepted] or ([] if found.lost is None else [found.lost.name])
+    return (
+        f"With {' and '.join(names)}, a mean squared error of {left:.3g} noise variances remains; with "
+        f"other parameters before and after a change of the unit, {midway.left:.3g}."
+    )
 
 
 def _doubts(
