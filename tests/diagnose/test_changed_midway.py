@@ -146,6 +146,6 @@ def test_headline_and_report_say_that_the_unit_changed(dropped, tmp_path):
     assert "simulation of the unit after its change" in page
 
 
-def test_lasting_causes_are_not_named_where_two_units_are_a_far_better_explanation(dropped):
+def test_a_log_of_two_units_names_no_cause_that_lasts(dropped):
     assert dropped.names == ("unknown",)
     assert dropped.unexplained["signatures"][0]["kind"] == "changed_midway"
