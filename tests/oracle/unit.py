@@ -107,19 +107,31 @@ class HiddenUnit:
         return lambda q, v, u, t, gust: sum(part(q, v, u, t, gust) for part in acting)
 
     def _friction(self, j: int) -> Load | None:
-        kinds = ("viscous", "asymmetric_viscous", "quadratic", "coulomb", "stribeck", "load_friction")
-        viscous, asymmetric, quadratic, coulomb, stribeck, loaded = (self._of(kind, j) for kind in kinds)
-        if not (viscous or asymmetric or quadratic or coulomb or stribeck or loaded):
+        kinds = (
+            "viscous",
+            "asymmetric_viscous",
+            "quadratic",
+            "coulomb",
+            "stribeck",
+            "load_friction",
+            "torque_speed",
+        )
+        own = [self._of(kind, j) for kind in kinds]
+        if not any(own):
             return None
+        viscous, asymmetric, quadratic, coulomb, stribeck, loaded, motor = own
         half = 0.5 * asymmetric.get("difference", 0.0)
         change, drag = viscous.get("change", 0.0), quadratic.get("drag", 0.0)
         constant = coulomb.get("torque", 0.0) + stribeck.get("coulomb", 0.0)
         excess, speed = stribeck.get("breakaway", 0.0), stribeck.get("speed", 1.0)
         share = loaded.get("coefficient", 0.0)
+        droop = motor.get("droop", 0.0)
 
         def load(q: float, v: float, u: float, t: float, gust: float) -> float:
             one_way = change + half if v > 0.0 else change - half
             total = -one_way * v - drag * v * abs(v)
+            if u * v > 0.0:
+                total -= droop * abs(v) * u
             level = constant + share * abs(u)
             if excess:
                 level += excess * math.exp(-((v / speed) ** 2))

@@ -156,6 +156,15 @@ CROSSTALK = Cause(
     "command",
     lambda motion: motion.command,
 )
+TORQUE_SPEED = Cause(
+    "torque_speed",
+    "actuator",
+    ("droop",),
+    "The drive has less force the faster it pushes its joint: the back EMF of a motor takes a share of its voltage.",
+    "Let the drive turn its joint freely at full command: it reaches the no-load speed, which is one over the droop.",
+    "omega",
+    lambda motion: -np.sign(motion.command) * np.maximum(motion.command * motion.omega, 0.0),
+)
 UNIT_SLIP = Cause(
     "unit_slip",
     "unit",

@@ -14,8 +14,8 @@ COMPILED_WITH = "b558a93d061d66bf"
 
 # Loads of effects that the loop knows; those from STRIBECK to before LEARNED are levels of dry friction. From LEARNED
 # on, each is a term of a learned load.
-VISCOUS, QUADRATIC, ASYMMETRIC_VISCOUS, SPRING, COGGING, PERIODIC, CROSSTALK = range(7)
-STRIBECK, LOAD_FRICTION, LEARNED = range(7, 10)
+VISCOUS, QUADRATIC, ASYMMETRIC_VISCOUS, SPRING, COGGING, PERIODIC, CROSSTALK, TORQUE_SPEED = range(8)
+STRIBECK, LOAD_FRICTION, LEARNED = range(8, 11)
 MOST_VALUES = 5  # of an effect
 
 
@@ -61,6 +61,17 @@ def add_levels(kinds, places, values, drives, forces, speed, level):
 
 
 @njit(error_model="numpy", nogil=True)
+def sum_of_forces(drives, joint, forces, effort):
+    """Write what all actuators of a joint deliver to ``effort`` (LANES,)."""
+    for i in range(LANES):
+        effort[i] = 0.0
+    for a in range(len(drives)):
+        if drives[a] == joint:
+            for i in range(LANES):
+                effort[i] += forces[a, i]
+
+
+@njit(error_model="numpy", nogil=True)
 def add_loads(kinds, places, values, drives, forces, angle, speed, time, effort, load):
     """Add the loads of effects to ``load`` (J, LANES); ``effort`` (LANES,) is overwritten."""
     for e in range(len(kinds)):
@@ -87,11 +98,11 @@ def add_loads(kinds, places, values, drives, forces, angle, speed, time, effort,
                 if drives[a] == places[e, 1]:
                     for i in range(LANES):
                         load[j, i] += values[e, 0, i] * forces[a, i]
-        elif kind >= LEARNED:
+        elif kind == TORQUE_SPEED:
+            sum_of_forces(drives, places[e, 1], forces, effort)
             for i in range(LANES):
-                effort[i] = 0.0
-            for a in range(len(drives)):
-                if drives[a] == places[e, 1]:
-                    for i in range(LANES):
-                        effort[i] += forces[a, i]
+                along = max(effort[i] * speed[j, i], 0.0)
+                load[j, i] -= values[e, 0, i] * math.copysign(along, effort[i])
+        elif kind >= LEARNED:
+            sum_of_forces(drives, places[e, 1], forces, effort)
             add_term(kind - LEARNED, values[e], angle[j], speed[j], effort, load[j])

@@ -25,6 +25,7 @@ KINDS = (
     "cogging",
     "periodic",
     "crosstalk",
+    "torque_speed",
     "stribeck",
     "load_friction",
 )

@@ -25,7 +25,7 @@ from deepkoco.systems.trees.newton_euler_kernel import (
 )
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "216d6cec13fa03bc"
+COMPILED_WITH = "4020df5fc35b77c0"
 
 
 @njit(error_model="numpy", nogil=True)

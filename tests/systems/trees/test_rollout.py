@@ -133,7 +133,7 @@ def test_compiled_rollout_has_every_term_of_a_learned_load(arm, joint, monkeypat
             torch.testing.assert_close(own, wanted, rtol=1e-8, atol=1e-9)
 
 
-@pytest.mark.parametrize("effect", ["learned", "load_friction", "crosstalk"])
+@pytest.mark.parametrize("effect", ["learned", "load_friction", "crosstalk", "torque_speed"])
 def test_loads_that_follow_a_joint_with_two_actuators_see_their_sum(tmp_path, effect, monkeypatch):
     rng = np.random.default_rng(7)
     path = tmp_path / "arm.xml"
@@ -144,7 +144,7 @@ def test_loads_that_follow_a_joint_with_two_actuators_see_their_sum(tmp_path, ef
     system = ExtendedSystem(arm, tuple(name for name, own in placed.items() if own.effect.name == effect))
     values = {p.name: torch.full((2,), p.value, dtype=torch.float64) for p in system.parameters}
     for p in system.parameters:
-        follows = p.name.rpartition(".")[2] in ("u", "u_abs_u", "coefficient", "share", "ratio")
+        follows = p.name.rpartition(".")[2] in ("u", "u_abs_u", "coefficient", "share", "ratio", "droop")
         if p.name not in {q.name for q in arm.parameters} and (follows or effect != "learned"):
             values[p.name][1] += min(p.prior_sd, 0.5 * (p.high - p.value))
     windows = three_windows(arm, rng)

@@ -148,8 +148,14 @@ KINDS: dict[str, Kind] = {
         Kind(
             "torque_speed",
             lambda s, p, r: {"no_load_speed": (0.7 if p.slides else 2.0) / s},
-            ("viscous({j})", "gain({j})", "saturation({j})", "changed(damping({j}))", "changed(kv({a}))"),
-            inside=False,
+            (
+                "torque_speed({j})",
+                "viscous({j})",
+                "gain({j})",
+                "saturation({j})",
+                "changed(damping({j}))",
+                "changed(kv({a}))",
+            ),
             needs=DRIVEN,
         ),
         Kind("rate_limit", lambda s, p, r: {"limit": 2.0 * p.limit / s}, ("rate_limit({j})",), needs=MOTORS),

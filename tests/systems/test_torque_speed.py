@@ -1,0 +1,48 @@
+"""A drive whose force falls with speed: what it loses, and the speed at which nothing is left."""
+
+import pytest
+import torch
+
+from deepkoco.systems import ExtendedSystem, make_system
+from deepkoco.systems.effects import effects_of
+from deepkoco.systems.motion import Motion
+
+
+def at(*values: float) -> tuple[torch.Tensor, ...]:
+    return tuple(torch.tensor(v, dtype=torch.float64) for v in values)
+
+
+def force(effort: float, speed: float, droop: float = 0.05) -> float:
+    """What the motor of a pendulum delivers at its upright position [N m]."""
+    system = ExtendedSystem(make_system("rod_pendulum"), ("torque_speed",), {"torque_speed.droop": droop})
+    p = system.default_parameters()
+    law = system.accelerations(p)
+    moved, coasts = (law(Motion(at(0.0), at(speed), at(u)))[0] for u in (effort, 0.0))
+    one = law(Motion(at(0.0), at(0.0), at(1.0)))[0] - law(Motion(at(0.0), at(0.0), at(0.0)))[0]
+    return float((moved - coasts) / one)
+
+
+@pytest.mark.parametrize(
+    ("effort", "speed", "delivered"),
+    [
+        (2.0, 4.0, 2.0 * (1.0 - 0.05 * 4.0)),
+        (-2.0, -4.0, -2.0 * (1.0 - 0.05 * 4.0)),
+        (2.0, -4.0, 2.0),  # it brakes
+        (-2.0, 4.0, -2.0),
+        (2.0, 0.0, 2.0),
+        (2.0, 20.0, 0.0),  # no-load speed
+        (2.0, 30.0, -1.0),  # driven beyond it
+    ],
+)
+def test_a_drive_loses_force_with_the_speed_at_which_it_pushes(effort, speed, delivered):
+    assert force(effort, speed) == pytest.approx(delivered, abs=1e-9)
+
+
+def test_it_belongs_to_joints_that_are_driven():
+    furuta = effects_of(make_system("furuta_pendulum"))
+    assert [name for name in furuta if name.startswith("torque_speed")] == ["torque_speed(joint 1)"]
+
+
+def test_its_unit_is_one_over_the_no_load_speed_where_drives_deliver_loads():
+    system = ExtendedSystem(make_system("servo_pendulum"), ("torque_speed",))
+    assert system.parameter("torque_speed.droop").unit == "s/rad"
