@@ -214,14 +214,16 @@ class FitProblem(ShootingProblem):
             # With many states, every second iteration from the third on keeps the slopes of the one before.
             fresh = size < MANY_STATES or iteration < 2 or iteration % 2 == 0
             nudge = state_steps(size) if fresh else ()
-            lanes = some.trial.repeat(1 + len(nudge), 1, 1, 1)
+            # Lanes of one set side by side: what acts in some sets alone is then simulated in their lanes alone.
+            count_of = 1 + len(nudge)
+            lanes = some.trial[:, None].repeat(1, count_of, 1, 1)
             for s, step in enumerate(nudge):
-                lanes[1 + s, :, :, s] += step
-            sets_of = np.tile(theta[rows.numpy()], (len(lanes), 1))
-            there = nuisance[rows].repeat(len(lanes), 1)
+                lanes[:, 1 + s, :, s] += step
+            sets_of = np.repeat(theta[rows.numpy()], count_of, axis=0)
+            there = nuisance[rows].repeat_interleave(count_of, 0)
             usual = part.with_usual_steps if fresh else part
             predicted = usual.predict(sets_of, lanes.flatten(0, 1), there)
-            predicted = predicted.unflatten(0, (len(lanes), len(rows)))
+            predicted = predicted.unflatten(0, (len(rows), count_of)).transpose(0, 1)
             if usual is not part:
                 exact = part.predict(theta[rows.numpy()], some.trial, nuisance[rows])
                 predicted += exact - predicted[0]

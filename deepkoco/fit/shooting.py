@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Sequence
 from typing import Self
 
@@ -21,6 +22,9 @@ from deepkoco.fit.solve.nuisances import Nuisances
 from deepkoco.systems import ExtendedSystem, Parameter, System
 from deepkoco.systems.effects.effect import PlacedEffect
 
+# Measurements that are simulated at once: what a batch reads and writes then stays in the cache, and the system need
+# not clear new memory for each.
+MEASUREMENTS = 1 << 21
 SENSING_RANGE = 0.1  # longest delay of one channel [s]
 
 
@@ -61,8 +65,24 @@ class ShootingProblem:
         self._usual: Self | None = None
         self._uncut = False  # whether `_usual` would be this problem itself
 
+    @property
+    def most_lanes(self) -> int:
+        """Largest number of lanes that are simulated in one batch."""
+        return max(MEASUREMENTS // max(self.windows.value.numel(), 1), 1)
+
     def predict(self, theta: np.ndarray, initial: Tensor, nuisance: Tensor) -> Tensor:
         """Simulate measurements (L, W, N, M) for L lanes of parameters (L, P), states (L, W, S), nuisances (L, z)."""
+        most = self.most_lanes
+        if len(theta) <= most:
+            return self._predict(theta, initial, nuisance)
+        result = torch.empty(len(theta), *self.windows.value.shape, dtype=torch.float64)
+        parts = np.array_split(np.arange(len(theta)), math.ceil(len(theta) / most))
+        for at, end in ((int(part[0]), int(part[-1]) + 1) for part in parts):
+            result[at:end] = self._predict(theta[at:end], initial[at:end], nuisance[at:end])
+        return result
+
+    def _predict(self, theta: np.ndarray, initial: Tensor, nuisance: Tensor) -> Tensor:
+        """As :meth:`predict`, in one batch."""
         own = len(self.system.parameters)
         nulls = self.null_values()
         values = theta[:, :own].copy()
@@ -79,7 +99,7 @@ class ShootingProblem:
             result = torch.empty(len(theta), *self.windows.value.shape, dtype=torch.float64)
             for part in (slow, ~slow):
                 pick = torch.from_numpy(part)
-                result[pick] = ShootingProblem.predict(self, theta[part], initial[pick], nuisance[pick])
+                result[pick] = self._predict(theta[part], initial[pick], nuisance[pick])
             return result
         for effect, columns in self._columns.items():
             acting = np.flatnonzero(given[columns].any(0))

@@ -79,7 +79,26 @@ class Tangent:
             predicted: (1 + q + S, W, N, M) simulated measurements of the lanes.
             weight: (W, N, M) weights of the measurements, in one over their noise.
         """
-        return (predicted[1:] - predicted[0]) / self.steps[:, None, None, None] * weight
+        moved = predicted[1:] - predicted[0]
+        return moved.div_(self.steps[:, None, None, None]).mul_(weight)
+
+
+def batches(lanes: Sequence[int], most: int) -> list[np.ndarray]:
+    """Return which tangents are simulated together: neighbours with at most so many lanes, or a single one.
+
+    Args:
+        lanes: Number of lanes of each tangent.
+        most: Largest number in one batch.
+    """
+    result: list[list[int]] = []
+    total = 0
+    for i, count in enumerate(lanes):
+        if not result or total + count > most:
+            result.append([])
+            total = 0
+        result[-1].append(i)
+        total += count
+    return [np.array(own) for own in result]
 
 
 FEW = 2  # lanes of a tangent up to which usual steps save nothing

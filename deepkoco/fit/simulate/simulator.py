@@ -12,6 +12,7 @@ from deepkoco.fit.data.per_log_differences import amounts, of_windows
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.simulate.bytecode.along_windows import along_windows
 from deepkoco.fit.simulate.command_effort import command_efforts
+from deepkoco.fit.simulate.interpolation import states_at
 from deepkoco.fit.simulate.nodes import Nodes
 from deepkoco.fit.simulate.play import behind_play
 from deepkoco.fit.simulate.sensor_filter import filtered
@@ -128,68 +129,31 @@ def predict(
     slow = system.sensor_filter(parameters)
     nodes = nodes if not bool((slow > 0.0).any()) else filtered(nodes, slow, windows.step)
     count, channels, samples = len(windows), windows.t.shape[1], windows.t.shape[2]
-    result = torch.empty(count, channels, samples, initial.shape[0], dtype=torch.float64)
     began = torch.from_numpy(windows.t0 - _log_starts(windows))[:, None, None]
+    if not delays and bool((windows.t == windows.t[:, :1]).all()):
+        time = windows.t[:, 0]
+        state = states_at(nodes, time, windows.step)
+        measured = system.measure_at(state, began + time[..., None], parameters)
+        return measured.permute(2, 0, 3, 1).contiguous()
+    result = torch.empty(initial.shape[0], count, channels, samples, dtype=torch.float64)
     measured: Tensor | None = None
     stamped = 0  # channel at whose stamps `measured` is
     for c in range(channels):
         time = windows.t[:, c, :, None]
         if c in delays:
             late = time - delays[c]
-            state = _between_each(nodes, late, windows.step)
-            result[:, c] = system.measure_at(state, began + late, parameters)[..., c]
+            state = states_at(nodes, late.expand(-1, -1, initial.shape[0]), windows.step)
+            shown = system.measure_at(state, began + late, parameters)[..., c]
+            result[:, :, c] = shown.permute(2, 0, 1)
             continue
         if measured is None or not torch.equal(windows.t[:, c], windows.t[:, stamped]):
             stamped = c
-            state = _between(nodes, windows.t[:, c], windows.step)
+            state = states_at(nodes, windows.t[:, c], windows.step)
             measured = system.measure_at(state, began + time, parameters)
-        result[:, c] = measured[..., c]
-    return result.permute(3, 0, 1, 2)
+        result[:, :, c] = measured[..., c].permute(2, 0, 1)
+    return result
 
 
 def _log_starts(windows: Windows) -> np.ndarray:
     """(W,) first command of each window's log [s]."""
     return np.array([windows.commands[log].t[0] for log in windows.log])
-
-
-def _between(nodes: Nodes, t: Tensor, h: float) -> Tensor:
-    """Interpolate states by Hermite cubics at times t (W, M) [s] -> (W, M, L, S)."""
-    steps, count = nodes.left[0].shape[:2]
-    cell = (t / h).floor().long().clamp(0, steps - 1)
-    s = (t / h - cell)[..., None]
-    row = (cell * count + torch.arange(count)[:, None]).flatten()
-    weights = _hermite(s, h)
-    shape = (*t.shape, -1)
-    parts = []
-    for value, left, right in zip(*nodes, strict=True):
-        flat = value.flatten(0, 1)
-        pieces = (flat, left.flatten(0, 1), flat, right.flatten(0, 1))
-        rows = (row, row, row + count, row)
-        total = None
-        for w, piece, at in zip(weights, pieces, rows, strict=True):
-            picked = piece.index_select(0, at).view(shape)
-            total = w * picked if total is None else total.addcmul_(w, picked)
-        parts.append(total)
-    return torch.stack(parts, -1)
-
-
-def _between_each(nodes: Nodes, t: Tensor, h: float) -> Tensor:
-    """As :func:`_between`, with separate times t (W, M, L) [s] for each lane."""
-    steps, count, lanes = nodes.left[0].shape
-    cell = (t / h).floor().long().clamp(0, steps - 1)
-    s = t / h - cell
-    window, lane = torch.arange(count)[:, None, None], torch.arange(lanes)[None, None, :]
-    w0, w1, w2, w3 = _hermite(s, h)
-    parts = []
-    for value, left, right in zip(*nodes, strict=True):
-        before, after = value[cell, window, lane], value[cell + 1, window, lane]
-        parts.append(
-            w0 * before + w1 * left[cell, window, lane] + w2 * after + w3 * right[cell, window, lane]
-        )
-    return torch.stack(parts, -1)
-
-
-def _hermite(s: Tensor, h: float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Weights of the value and slope at the start and of the value and slope at the end of a step."""
-    r = 1.0 - s
-    return r * r * (1.0 + 2.0 * s), h * s * r * r, s * s * (3.0 - 2.0 * s), -h * s * s * r

@@ -20,7 +20,7 @@ from deepkoco.fit.fit_types import Fit, Trial
 from deepkoco.fit.shooting import ShootingProblem
 from deepkoco.fit.solve.normal_equations import NormalEquations
 from deepkoco.fit.solve.scaled_inverse import DivergedError, scaled_inverse
-from deepkoco.fit.tangent import Tangent, simulated
+from deepkoco.fit.tangent import Tangent, batches, simulated
 
 TOLERANCE = 0.02  # a fit has converged when a step lowers its cost by less
 LARGEST_DAMPING = 1e8
@@ -117,34 +117,39 @@ class Batch:
     def _linearise(
         self, active: np.ndarray, theta: np.ndarray, initial: Tensor, nuisance: Tensor
     ) -> list[NormalEquations]:
-        """Simulate the active trials and their finite differences in one batch; form the normal equations."""
+        """Simulate the active trials with their finite differences, a few at a time; form the normal equations."""
         problem = self.problem
         varying = np.array([problem.names.index(n) for n in problem.nuisances.varies], dtype=int)
         moved = {k: np.append(self.columns[k], np.setdiff1d(varying, self.columns[k])) for k in active}
         tangents = [Tangent.at(problem, theta[k], moved[k], initial[k]) for k in active]
-        predicted = simulated(problem, tangents, nuisance[active])
-        result, at = [], 0
-        for i, k in enumerate(active):
-            p, columns = len(self.columns[k]), moved[k]
-            lanes = predicted[at : at + len(tangents[i])]
-            at += len(lanes)
-            slopes = tangents[i].slopes(lanes, problem.weight)
-            residual = (problem.windows.value - lanes[0]) * problem.weight
-            prior, offset = map(torch.from_numpy, self.penalties[k].at(theta[k, self.columns[k]]))
-            own = problem.nuisance_slopes(slopes[[int(np.flatnonzero(columns == v)[0]) for v in varying]])
-            result.append(
-                NormalEquations.build(
-                    residual,
-                    slopes[:p],
-                    slopes[len(columns) :],
-                    own,
-                    prior,
-                    offset,
-                    nuisance[k],
-                    problem.nuisances.precision,
-                )
-            )
+        result = []
+        for some in batches([len(tangent) for tangent in tangents], problem.most_lanes):
+            own = [tangents[i] for i in some]
+            predicted, at = simulated(problem, own, nuisance[active[some]]), 0
+            for tangent, k in zip(own, active[some], strict=True):
+                lanes = predicted[at : at + len(tangent)]
+                at += len(lanes)
+                result.append(self._equations(k, tangent, moved[k], varying, lanes, theta[k], nuisance[k]))
         return result
+
+    def _equations(
+        self,
+        k: int,
+        tangent: Tangent,
+        columns: np.ndarray,
+        varying: np.ndarray,
+        lanes: Tensor,
+        theta: np.ndarray,
+        nuisance: Tensor,
+    ) -> NormalEquations:
+        """Normal equations of a trial from its simulated lanes (1 + q + S, W, N, M)."""
+        problem, p = self.problem, len(self.columns[k])
+        slopes = tangent.slopes(lanes, problem.weight)
+        residual = (problem.windows.value - lanes[0]) * problem.weight
+        prior, offset = map(torch.from_numpy, self.penalties[k].at(theta[self.columns[k]]))
+        own = problem.nuisance_slopes(slopes[[int(np.flatnonzero(columns == v)[0]) for v in varying]])
+        states, precision = slopes[len(columns) :], problem.nuisances.precision
+        return NormalEquations.build(residual, slopes[:p], states, own, prior, offset, nuisance, precision)
 
     def _step(self, k: int) -> tuple[np.ndarray, Tensor, Tensor, float]:
         problem, normal = self.problem, self.normal[k]

@@ -62,24 +62,23 @@ class NormalEquations:
             nuisance: (z,) nuisances of the logs.
             precision: (z,) precisions of their prior around 0.
         """
-        count, p, own = len(residual), len(slopes), len(nuisance)
-        r = residual.reshape(count, -1)
-        jp = slopes.reshape(p, count, r.shape[1])
-        js = state_slopes.reshape(len(state_slopes), count, -1).permute(1, 2, 0)  # (W, NM, S)
-        jp = torch.cat([jp, nuisance_slopes.reshape(own, count, r.shape[1])])
-        jp = jp.permute(1, 2, 0)  # (W, NM, q)
-        chi2 = float((r * r).sum())
-        hpp = torch.einsum("wmi,wmj->ij", jp, jp)
-        gp = torch.einsum("wmi,wm->i", jp, r)
+        p, states, own = len(slopes), len(state_slopes), len(nuisance)
+        parts = (slopes, nuisance_slopes, state_slopes, residual[None])
+        # All products of slopes and residuals at once: (W, q + S + 1, NM) times its transpose.
+        rows = torch.cat([part.flatten(2) for part in parts]).transpose(0, 1)
+        products = rows @ rows.mT
+        q = p + own
+        hpp, gp = products[:, :q, :q].sum(0), products[:, :q, -1].sum(0)
+        chi2 = float((residual * residual).sum())  # the same bits whatever is beside it
         hpp[:p, :p] += prior
         gp[:p] -= prior @ offset
         penalty = float(offset @ prior @ offset)
         hpp[p:, p:] += torch.diag(precision)
         gp[p:] -= precision * nuisance
         penalty += float(precision @ nuisance**2)
-        hps = torch.einsum("wmi,wms->wis", jp, js)
-        hss = torch.einsum("wms,wmt->wst", js, js)
-        gs = torch.einsum("wms,wm->ws", js, r)
+        hps = products[:, :q, q : q + states].contiguous()
+        hss = products[:, q : q + states, q : q + states].contiguous()
+        gs = products[:, q : q + states, -1].contiguous()
         return NormalEquations(residual, chi2, chi2 + penalty, hpp, hps, hss, gp, gs)
 
     @property
