@@ -11,6 +11,7 @@ differentiation of pseudo-inverses and nonlinear least squares problems whose va
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -25,6 +26,9 @@ from deepkoco.fit.tangent import Tangent, batches, simulated
 TOLERANCE = 0.02  # a fit has converged when a step lowers its cost by less
 LARGEST_DAMPING = 1e8
 CORRECTIONS = 2  # of the initial states, for each step
+LARGE = (
+    0.125  # of the lanes that are simulated in one batch, from which points are simulated before their slopes
+)
 
 
 class Batch:
@@ -121,15 +125,44 @@ class Batch:
         problem = self.problem
         varying = np.array([problem.names.index(n) for n in problem.nuisances.varies], dtype=int)
         moved = {k: np.append(self.columns[k], np.setdiff1d(varying, self.columns[k])) for k in active}
-        tangents = [Tangent.at(problem, theta[k], moved[k], initial[k]) for k in active]
-        result = []
+        result = self._rejected(active, theta, initial, nuisance)
+        # Slopes at a rejected point correct its initial states, if these may be corrected once more.
+        alone = {k for k in result if self.corrections[k] < CORRECTIONS}
+        pending = np.array([k for k in active if k not in result or k in alone], dtype=int)
+        moved |= {k: moved[k][:0] for k in alone}
+        tangents = [Tangent.at(problem, theta[k], moved[k], initial[k]) for k in pending]
         for some in batches([len(tangent) for tangent in tangents], problem.most_lanes):
             own = [tangents[i] for i in some]
-            predicted, at = simulated(problem, own, nuisance[active[some]]), 0
-            for tangent, k in zip(own, active[some], strict=True):
+            predicted, at = simulated(problem, own, nuisance[pending[some]]), 0
+            for tangent, k in zip(own, pending[some], strict=True):
                 lanes = predicted[at : at + len(tangent)]
                 at += len(lanes)
-                result.append(self._equations(k, tangent, moved[k], varying, lanes, theta[k], nuisance[k]))
+                if k in alone:
+                    known = _of_states(tangent.slopes(lanes, problem.weight), result[k].residual)
+                    result[k] = replace(known, cost=result[k].cost)
+                else:
+                    result[k] = self._equations(k, tangent, moved[k], varying, lanes, theta[k], nuisance[k])
+        return [result[k] for k in active]
+
+    def _rejected(
+        self, active: np.ndarray, theta: np.ndarray, initial: Tensor, nuisance: Tensor
+    ) -> dict[int, NormalEquations]:
+        """Return the trials whose points raise the cost, with equations that have no slopes: none are needed.
+
+        Where a joint sticks and slips, most steps are rejected. Small problems simulate everything at once.
+        """
+        problem, later = self.problem, np.array([k for k in active if self.normal[k] is not None], dtype=int)
+        lanes = sum(1 + len(self.columns[k]) + initial.shape[2] for k in later)
+        if lanes < LARGE * problem.most_lanes:
+            return {}
+        result = {}
+        for k, own in zip(later, problem.predict(theta[later], initial[later], nuisance[later]), strict=True):
+            residual = (problem.windows.value - own) * problem.weight
+            normal = _of_states(residual[None][:0], residual)
+            prior, offset = map(torch.from_numpy, self.penalties[k].at(theta[k, self.columns[k]]))
+            penalty = float(offset @ prior @ offset) + float(problem.nuisances.precision @ nuisance[k] ** 2)
+            if not normal.chi2 + penalty <= self.cost[k]:
+                result[k] = replace(normal, cost=normal.chi2 + penalty)
         return result
 
     def _equations(
@@ -221,3 +254,9 @@ class Batch:
             curvature,
             self.history[k],
         )
+
+
+def _of_states(slopes: Tensor, residual: Tensor) -> NormalEquations:
+    """Equations of the initial states alone, with their slopes (S, W, N, M) at a point, without any penalty."""
+    none, square = torch.zeros(0, dtype=torch.float64), torch.zeros(0, 0, dtype=torch.float64)
+    return NormalEquations.build(residual, slopes[:0], slopes, slopes[:0], square, none, none, none)
