@@ -153,7 +153,7 @@ class Batch:
         """
         problem, later = self.problem, np.array([k for k in active if self.normal[k] is not None], dtype=int)
         lanes = sum(1 + len(self.columns[k]) + initial.shape[2] for k in later)
-        if lanes < LARGE * problem.most_lanes:
+        if len(later) == 0 or lanes < LARGE * problem.most_lanes:
             return {}
         result = {}
         for k, own in zip(later, problem.predict(theta[later], initial[later], nuisance[later]), strict=True):
