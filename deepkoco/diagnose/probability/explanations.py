@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 from deepkoco.diagnose.probability.coordinates import Item
 
@@ -47,15 +48,20 @@ def log_prior(explanation: Explanation, causes: int) -> float:
         explanation: The explanation.
         causes: Number of causes of the catalogue that are tried.
     """
-    size = len(explanation.items)
     charge = -sum(math.log(item.choices) for item in explanation.items)
+    return _log_share(len(explanation.items), explanation.unknown, causes) + charge
+
+
+@cache
+def _log_share(size: int, unknown: bool, causes: int) -> float:
+    """Log prior of each set of so many causes, as one of all such sets."""
     if size == 0:
-        return math.log(UNKNOWN if explanation.unknown else NOTHING)
-    if explanation.unknown:
-        return math.log(UNKNOWN) + size * math.log(FURTHER) - math.log(math.comb(causes, size)) + charge
+        return math.log(UNKNOWN if unknown else NOTHING)
+    if unknown:
+        return math.log(UNKNOWN) + size * math.log(FURTHER) - math.log(math.comb(causes, size))
     total = sum(FURTHER**k for k in range(min(MOST, causes)))
     share = (1.0 - NOTHING - UNKNOWN) * FURTHER ** (size - 1) / total
-    return math.log(share / math.comb(causes, size)) + charge
+    return math.log(share / math.comb(causes, size))
 
 
 def sets_of(explanations: Sequence[Explanation]) -> list[list[int]]:

@@ -49,21 +49,22 @@ def search(linear: Linearisation, items: Sequence[Item], causes: int) -> list[Sc
     nothing = np.array([-np.inf if c is None else c.log_nothing for c in changes])
     healthy, unknown = nothing + amplitudes.log_healthy, nothing + amplitudes.log_unknown
     found = [
-        _scored(linear, changes, Explanation(), healthy, causes),
-        _scored(linear, changes, Explanation(unknown=True), unknown, causes),
+        _scored(Explanation(), healthy, causes),
+        _scored(Explanation(unknown=True), unknown, causes),
     ]
     if not items:
         return sorted(found, key=lambda s: -s.log_weight)
     # Single causes, alone and beside an unknown model error.
     alone = [Explanation((item,)) for item in items]
     sets = np.array(sets_of(alone))
-    gains = np.full((len(changes), len(items)), -np.inf)
+    gains, modes = np.full((len(changes), len(items)), -np.inf), np.zeros((len(changes), *sets.shape))
     for a, own in enumerate(changes):
         if own is not None:
-            gains[a] = _sound(linear.freed(own, sets).log_gain)
+            freed = linear.freed(own, sets)
+            gains[a], modes[a] = _sound(freed.log_gain), freed.mode
     for k, item in enumerate(items):
-        found.append(_scored(linear, changes, Explanation((item,)), healthy + gains[:, k], causes))
-        found.append(_scored(linear, changes, Explanation((item,), True), unknown + gains[:, k], causes))
+        found.append(_scored(Explanation((item,)), healthy + gains[:, k], causes, modes[:, k]))
+        found.append(_scored(Explanation((item,), True), unknown + gains[:, k], causes, modes[:, k]))
     # Several causes, at the sizes of the model error that nothing and the best single cause ask for.
     weight = log_sum(healthy[:, None] + gains, axis=0)
     best = int(weight.argmax())
@@ -103,11 +104,12 @@ def _sound(gain: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(gain), gain, -np.inf)
 
 
-def _scored(linear, changes, explanation, scores, causes) -> Scored:
+def _scored(
+    explanation: Explanation, scores: np.ndarray, causes: int, modes: np.ndarray | None = None
+) -> Scored:
+    """Score nothing or one cause by its scores (A,) and modes (A, k) at all amplitudes."""
     a = int(scores.argmax())
-    mode = np.zeros(0)
-    if explanation.items:
-        mode = linear.freed(changes[a], np.array([explanation.columns])).mode[0]
+    mode = np.zeros(0) if modes is None else modes[a, : len(explanation.columns)]
     return Scored(explanation, float(log_sum(scores)) + log_prior(explanation, causes), a, mode)
 
 
