@@ -39,26 +39,45 @@ class Gram:
         return replace(self, information=matrix.T @ self.information @ matrix, pull=matrix.T @ self.pull)
 
 
+@dataclass(frozen=True)
+class UnitLoads:
+    """Responses R to independent unit missing loads, turned so that R'R is diagonal.
+
+    The covariance I + a^2 R R' of the measurements is then diagonal beside them at every amplitude a.
+
+    Attributes:
+        size: (W, m) diagonal of R'R.
+        turned: (W, n, m) responses.
+    """
+
+    size: np.ndarray
+    turned: np.ndarray
+
+    @staticmethod
+    def of(responses: np.ndarray) -> UnitLoads:
+        """Turn responses (W, n, m)."""
+        size, ways = np.linalg.eigh(responses.transpose(0, 2, 1) @ responses)
+        return UnitLoads(np.maximum(size, 0.0), responses @ ways)
+
+
 class WindowSums:
     """Products of the columns of all windows, from which the Gram matrix at every amplitude follows.
 
     Args:
         columns: (W, n, q) whitened change of the measurements by each coordinate.
         states: (W, n, S) the same by each initial state.
-        responses: (W, n, m) the same by independent unit missing loads.
+        responses: (W, n, m) the same by independent unit missing loads, or their :class:`UnitLoads`.
         residual: (W, n) whitened residuals at the point of linearisation.
     """
 
     def __init__(
-        self, columns: np.ndarray, states: np.ndarray, responses: np.ndarray, residual: np.ndarray
+        self, columns: np.ndarray, states: np.ndarray, responses: np.ndarray | UnitLoads, residual: np.ndarray
     ) -> None:
         self.coordinates = columns.shape[2]
         both = np.concatenate([columns, residual[..., None], states], axis=2)
         self._products = both.transpose(0, 2, 1) @ both
-        # Eigenvectors of R'R make the covariance I + a^2 R R' diagonal at every amplitude a.
-        size, ways = np.linalg.eigh(responses.transpose(0, 2, 1) @ responses)
-        self._size = np.maximum(size, 0.0)
-        self._along = ways.transpose(0, 2, 1) @ (responses.transpose(0, 2, 1) @ both)
+        loads = responses if isinstance(responses, UnitLoads) else UnitLoads.of(responses)
+        self._size, self._along = loads.size, loads.turned.transpose(0, 2, 1) @ both
 
     def products(self, amplitude: float) -> np.ndarray:
         """Return the products (W, k, k) of columns, residual and states under missing loads of this standard deviation.

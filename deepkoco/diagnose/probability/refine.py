@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -16,9 +17,11 @@ from torch import Tensor
 from deepkoco.diagnose.evidence.priors import declared
 from deepkoco.diagnose.probability.coordinates import Catalogue, is_shape
 from deepkoco.diagnose.probability.explanations import Explanation
-from deepkoco.diagnose.probability.gram import WindowSums
+from deepkoco.diagnose.probability.gram import UnitLoads, WindowSums
+from deepkoco.diagnose.probability.normal import Normal
 from deepkoco.diagnose.probability.unit import UnitPrior
 from deepkoco.fit.fit import Fit, FitProblem
+from deepkoco.fit.solve.levenberg_marquardt import LARGE
 from deepkoco.fit.tangent import Tangent, simulated
 
 STEPS = 25
@@ -49,6 +52,22 @@ class Fixed:
         """Values of base parameters, tolerated changes, weights and zeros at the point."""
         own, zeros = [self.origin.values[n] for n in self.catalogue.base], self.origin.nuisance.numpy()
         return np.concatenate([own, np.zeros(self.linear.shape[2] - len(zeros)), zeros])
+
+    @cached_property
+    def loads(self) -> UnitLoads:
+        """The responses, for the products of every refit."""
+        return UnitLoads.of(self.responses)
+
+    @cached_property
+    def priors(self) -> dict[int, Normal]:
+        """The prior under each size of the model error that was asked for."""
+        return {}
+
+    def prior(self, amplitude: int) -> Normal:
+        """Return the prior under a size of the model error, by its number."""
+        if amplitude not in self.priors:
+            self.priors[amplitude] = self.unit.normal(amplitude)
+        return self.priors[amplitude]
 
 
 @dataclass
@@ -239,6 +258,46 @@ class _Equations:
 
 
 def _linearised(problem, fixed, refits, trials) -> list[_Equations | None]:
+    """Return the equations of refits at their next points; None where a point is no better than the last one."""
+    raised = _raised(problem, fixed, refits, trials)
+    going_on = [k for k in range(len(refits)) if k not in raised]
+    found: list[_Equations | None] = [None] * len(refits)
+    own = ([given[k] for k in going_on] for given in (refits, trials))
+    for k, equations in zip(going_on, _with_slopes(problem, fixed, *own) if going_on else (), strict=True):
+        found[k] = equations
+    return found
+
+
+def _raised(problem, fixed, refits, trials) -> set[int]:
+    """Return the refits whose next points raise their costs, for which no slopes are needed.
+
+    About every second step is rejected. Small problems simulate points and slopes at once.
+    """
+    later = [k for k, refit in enumerate(refits) if refit.sums is not None]
+    lanes = sum(1 + len(refits[k].names) + refits[k].state.shape[1] for k in later)
+    if not later or lanes < LARGE * problem.most_lanes:
+        return set()
+    theta = np.stack([theta_of(problem, fixed, refits[k], trials[k][0]) for k in later])
+    states = torch.stack([trials[k][2] for k in later])
+    predicted = problem.predict(theta, states, fixed.origin.nuisance[None].repeat(len(later), 1))
+    windows, raised = len(problem.windows), set()
+    for k, own in zip(later, predicted, strict=True):
+        refit, (value, weights, _) = refits[k], trials[k]
+        residual = ((problem.windows.value - own) * problem.weight).reshape(windows, -1).numpy()
+        residual = residual - fixed.linear @ weights
+        nothing = np.zeros((*residual.shape, 0))
+        products = WindowSums(nothing, nothing, fixed.loads, residual).products(_amplitude(fixed, refit))
+        cost = float(products.sum()) + _prior(problem, fixed, refit, value, weights)[2]
+        if not cost <= refit.cost:
+            raised.add(k)
+    return raised
+
+
+def _amplitude(fixed: Fixed, refit: Refit) -> float:
+    return float(fixed.unit.amplitudes.in_time[refit.amplitude])
+
+
+def _with_slopes(problem, fixed, refits, trials) -> list[_Equations | None]:
     tangents, lanes = [], []
     for refit, (value, _, state) in zip(refits, trials, strict=True):
         theta = theta_of(problem, fixed, refit, value)
@@ -265,9 +324,9 @@ def _equations(problem, fixed, refit, value, weights, tangent, predicted) -> _Eq
     distinct = list(dict.fromkeys(refit.names))
     columns = slopes[:, :, [distinct.index(n) for n in refit.names]]
     columns = np.concatenate([columns, fixed.linear], axis=2)
-    sums = WindowSums(columns, slopes[:, :, len(distinct) :], fixed.responses, residual)
+    sums = WindowSums(columns, slopes[:, :, len(distinct) :], fixed.loads, residual)
     precision, offset, penalty = _prior(problem, fixed, refit, value, weights)
-    products = sums.products(float(fixed.unit.amplitudes.in_time[refit.amplitude]))
+    products = sums.products(_amplitude(fixed, refit))
     z = columns.shape[2]
     cost = float(products[:, z, z].sum()) + penalty
     return _Equations(products, precision, offset, cost, len(value), sums) if np.isfinite(cost) else None
@@ -280,7 +339,7 @@ def _prior(problem, fixed, refit, value, weights) -> tuple[np.ndarray, np.ndarra
     z = v + len(weights)
     precision, offset = np.zeros((z, z)), np.zeros(z)
     shared = np.concatenate([np.arange(own), v + np.arange(len(weights))])
-    healthy = fixed.unit.normal(refit.amplitude)
+    healthy = fixed.prior(refit.amplitude)
     precision[np.ix_(shared, shared)] = healthy.precision
     offset[shared] = np.concatenate([value[:own], weights]) + fixed.here - healthy.mean
     shapes = shapes_of(refit.explanation)
