@@ -16,7 +16,7 @@ from deepkoco.fit.simulate.interpolation import states_at
 from deepkoco.fit.simulate.nodes import Nodes
 from deepkoco.fit.simulate.play import behind_play
 from deepkoco.fit.simulate.sensor_filter import filtered
-from deepkoco.fit.simulate.step import equations_of
+from deepkoco.fit.simulate.step import equations_of, friction_of
 from deepkoco.fit.simulate.torch_steps import StepsInput, in_torch
 from deepkoco.systems import System
 from deepkoco.systems.channel_delay import ahead_of_latest, latest
@@ -68,7 +68,6 @@ def integrate(
     h, joints, count = windows.step, system.joints, initial.shape[0]
     apart = amounts(windows.known, differ)
     own = of_windows(parameters, apart, windows.log)
-    equations = equations_of(system, own, lanes)
     start, slope = zip(
         *(command_efforts(system, windows, parameters, count, k, apart) for k in range(len(system.commands))),
         strict=True,
@@ -79,7 +78,7 @@ def integrate(
     compiled = system.rollout(own)
     if compiled is not None:
         loads = None if push is None else push.permute(0, 3, 2, 1)
-        given = RolloutInput(h, parts, t0, start, slope, loads, equations.friction)
+        given = RolloutInput(h, parts, t0, start, slope, loads, friction_of(system, own, lanes))
         if (found := compiled.run(given)) is not None:
             fast = found.value[joints:]
             return Nodes(
@@ -89,7 +88,7 @@ def integrate(
     given = StepsInput(h, parts, t0, start, slope, pushes, bool(apart), way, windows.unseen)
     if (fast := along_windows(system, own, lanes, given)) is not None:
         return fast
-    return in_torch(equations, given)
+    return in_torch(equations_of(system, own, lanes), given)
 
 
 def predict(

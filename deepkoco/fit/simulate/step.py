@@ -78,15 +78,20 @@ def equations_of(
         lanes: Effect -> lanes in which it acts; None for all.
     """
     smoothing = tuple(torch.full((), speed, dtype=torch.float64) for speed in system.smoothing_speeds)
-    inverse = system.inverse_inertia(parameters)
+    inverse, friction = system.inverse_inertia(parameters), friction_of(system, parameters, lanes)
     if not isinstance(system, ExtendedSystem):
-        free, friction = system.free_accelerations(parameters), system.dry_friction_levels(parameters)
-        return Equations(free, friction, inverse, smoothing)
-    free, friction = (
-        system.free_accelerations(parameters, lanes),
-        system.dry_friction_levels(parameters, lanes),
-    )
+        return Equations(system.free_accelerations(parameters), friction, inverse, smoothing)
+    free = system.free_accelerations(parameters, lanes)
     return Equations(free, friction, inverse, smoothing, system.joint_memory(parameters))
+
+
+def friction_of(
+    system: System, parameters: Mapping[str, Tensor], lanes: Mapping[str, slice] | None
+) -> DryFriction:
+    """Return the levels of dry friction of a system; arguments as for :func:`equations_of`."""
+    if isinstance(system, ExtendedSystem):
+        return system.dry_friction_levels(parameters, lanes)
+    return system.dry_friction_levels(parameters)
 
 
 class Step(NamedTuple):
