@@ -61,6 +61,7 @@ def read_logs(
                 channels=channels,
                 pairs=system.speeds_of_positions,
                 fill=args.fill,
+                allow_no_command=system.moves_freely,
             )
         )
     assert system is not None or not paths

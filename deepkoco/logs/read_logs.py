@@ -48,7 +48,15 @@ def read_logs(
         found = any_system(system)
         channels = [(c.name, c.unit, c.kind) for c in (*found.commands, *found.measurements)]
         result += [
-            read_log(path, mapping, found.name, channels=channels, pairs=found.speeds_of_positions, fill=fill)
+            read_log(
+                path,
+                mapping,
+                found.name,
+                channels=channels,
+                pairs=found.speeds_of_positions,
+                fill=fill,
+                allow_no_command=found.moves_freely,
+            )
             for path in recordings([log], episodes)
         ]
     return result

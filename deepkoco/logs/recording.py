@@ -102,6 +102,7 @@ def read_log(
     min_samples: int = 20,
     min_seconds: float = 1.0,
     allow_constant_command: bool = False,
+    allow_no_command: bool = False,
     allow_implausible: bool = False,
 ) -> Recording:
     """Read a measured log with its sidecar and check it.
@@ -124,6 +125,8 @@ def read_log(
         min_samples: smallest number of samples of a measurement.
         min_seconds: shortest duration of a log [s].
         allow_constant_command: accept a log in which a command never changes, such as a free swing.
+        allow_no_command: accept a log of a free motion that shows no command at all. The system then has a default
+            for every command.
         allow_implausible: accept channels that contradict each other, and values far from all others.
 
     Raises:
@@ -142,7 +145,7 @@ def read_log(
         by_name = mapping is not None
     sidecar = load_sidecar(path, mapping)
     name = _check_system(sidecar, system, systems)
-    targets = _target_units(sidecar, specs)
+    targets = _target_units(sidecar, specs, allow_no_command)
     readers = _readers(path, sidecar, fill)
     if allow_implausible:
         sidecar = replace(
@@ -303,7 +306,9 @@ def _check_system(sidecar: Sidecar, system: str | None, systems: Sequence[str]) 
     return system or sidecar.system
 
 
-def _target_units(sidecar: Sidecar, specs: Mapping[str, tuple[str, str]] | None) -> dict[str, str]:
+def _target_units(
+    sidecar: Sidecar, specs: Mapping[str, tuple[str, str]] | None, allow_no_command: bool
+) -> dict[str, str]:
     """Check the channels against those of the system; return the SI unit of each channel."""
     if specs is None:
         return {name: parse_unit(column.value.unit).si for name, column in sidecar.channels.items()}
@@ -322,7 +327,7 @@ def _target_units(sidecar: Sidecar, specs: Mapping[str, tuple[str, str]] | None)
         except UnitError as error:
             raise LogError(f"{where}: {error}") from error
         targets[name] = unit
-    for kind in KINDS:
+    for kind in ("measurement",) if allow_no_command else KINDS:
         if not any(column.kind == kind for column in sidecar.channels.values()):
             wanted = ", ".join(name for name, spec in specs.items() if spec[1] == kind)
             raise LogError(f"{sidecar.source}: no {kind} channel is mapped; map at least one of: {wanted}")

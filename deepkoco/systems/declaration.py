@@ -82,6 +82,11 @@ def _check_tuple(who: str, name: str, given: Any, kind: type) -> None:
         raise DeclarationError(f"{who}: {name} = {given!r:.80}; give a tuple: {EXAMPLES[name]}")
     if not given and name == "measurements":
         raise DeclarationError(lacks(who, name))
+    if not given and name == "commands":
+        raise DeclarationError(
+            f"{who}: commands is empty. For a body that swings freely, declare a push that logs do not show, "
+            'commands = (Channel("push", "N m", "command", -1.0, 1.0, default=0.0),), and add it to the loads'
+        )
 
 
 def _check_states(who: str, system: Any) -> None:

@@ -106,6 +106,11 @@ class SignalPath:
         pairs = ((names.get(j), names.get(j + self.joints)) for j in range(self.joints))
         return tuple((a, b) for a, b in pairs if a is not None and b is not None)
 
+    @property
+    def moves_freely(self) -> bool:
+        """Whether a log needs no command: every one has a default, so that a free motion can be simulated."""
+        return all(command.default is not None for command in self.commands)
+
     def ideal_measurement(self, state: Tensor) -> Tensor:
         """What sensors without any error measure (..., N) of a state (..., S): by default the `measured_states`."""
         shown = self.measured_states

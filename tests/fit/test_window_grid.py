@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from deepkoco.fit import cut_windows
 from deepkoco.fit.data.windows import LONGEST_STEP, SLIGHTLY, regular_period
+from deepkoco.fit.solve.fine_steps import MOST
 from deepkoco.logs.recording import Recording, Series
 from deepkoco.systems import make_system
 
@@ -40,6 +41,14 @@ def test_steps_begin_at_commands_of_a_regular_rate(rate, begin, length):
     assert periods == pytest.approx(round(periods)) or 1.0 / periods == pytest.approx(round(1.0 / periods))
     since = (windows.t0 - begin) * rate
     assert since == pytest.approx(np.round(since), abs=1e-3)
+
+
+@pytest.mark.parametrize("rate", [400.0, 500.0, 1000.0, 1200.0])
+def test_halved_steps_of_a_fast_loop_begin_at_every_command(rate):
+    stamps = np.arange(round(4.0 * rate)) / rate
+    windows = cut_windows([log_with(stamps)], make_system(SYSTEM), 1.0)
+    finest = windows.step / MOST * rate  # periods of the loop
+    assert 1.0 / finest == pytest.approx(round(1.0 / finest))
 
 
 def test_windows_of_irregular_commands_keep_their_length():

@@ -10,7 +10,7 @@ from mcap.writer import Writer
 from deepkoco import Channel, Parameter, System
 from deepkoco.cli.command_line import main
 from deepkoco.logs.formats import open_log
-from deepkoco.logs.inspect import doubts_of, propose, survey_log
+from deepkoco.logs.inspect import NoProposalError, doubts_of, propose, survey_log
 from deepkoco.logs.inspect.names import read_name
 from deepkoco.logs.read_logs import read_logs
 from deepkoco.logs.recording import LogError, read_log
@@ -296,3 +296,24 @@ def test_goal_and_measurement_are_told_apart_by_their_german_words():
 )
 def test_units_of_machines_are_understood(name, unit):
     assert read_name(name).unit == unit
+
+
+FREE = """<robot name="swing"><link name="world"/><link name="rod"><inertial><origin xyz="0 0 -0.3"/><mass value="1"/>
+<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="pivot" type="continuous"><parent link="world"/><child link="rod"/><axis xyz="0 1 0"/></joint></robot>"""
+
+
+def test_a_log_of_a_free_swing_needs_no_command_where_every_command_has_a_default(tmp_path):
+    (tmp_path / "swing.urdf").write_text(FREE)
+    log = tmp_path / "log.csv"
+    pd.DataFrame({"t": T, "pivot_deg": 20.0 * np.exp(-0.05 * T) * np.cos(5.4 * T)}).to_csv(log, index=False)
+    system = str(tmp_path / "swing.urdf")
+    assert main(["inspect", str(log), "--system", system, "--out", str(tmp_path / "log.yaml")]) == 0
+    (found,) = read_logs(log, system)
+    assert list(found.channels) == ["q_pivot"]
+
+
+def test_a_log_without_the_command_that_a_system_needs_is_still_refused(tmp_path):
+    pd.DataFrame({"t": T, "motor_angle": FAST, "load_angle": SLOW}).to_csv(tmp_path / "log.csv", index=False)
+    with pytest.raises(NoProposalError, match="no column fits the channel current"):
+        propose(survey_log(open_log(tmp_path / "log.csv")), channels(DRIVE))

@@ -183,6 +183,7 @@ WRONG = [
     ({"parameters": MASS}, "parameters is one Parameter, not a tuple: put a comma"),
     ({"parameters": (MASS, MASS)}, 'two parameters are called "mass"'),
     ({"commands": None}, "Mine lacks commands: write commands ="),
+    ({"commands": ()}, "swings freely, declare a push that logs do not show"),
     ({"commands": (ENDLESS,)}, "limits of the actuator"),
     ({"commands": (FORCE, BRAKE)}, "give the index of the joint"),
     ({"commands": (SPEED,)}, 'b is among the commands, and its kind is "measurement"'),

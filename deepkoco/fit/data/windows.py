@@ -246,7 +246,8 @@ def _grid(stamps: Sequence[np.ndarray], length: float, longest: float) -> tuple[
 
     A step takes the commands in it as linear in time. This is exact if they change at its ends only. Where a joint
     turns under dry friction, a change inside moves the instant of turning. Commands at a high rate change little from
-    one to the next, so a step may then hold several.
+    one to the next, so a step may then hold several: a power of two, so that steps which are halved often enough begin
+    at commands again.
 
     Args:
         stamps: Times of the commands of each log [s].
@@ -260,7 +261,7 @@ def _grid(stamps: Sequence[np.ndarray], length: float, longest: float) -> tuple[
         return length / steps, steps, False
     share = longest * (1.0 + SLIGHTLY) / period
     if share >= 1.0:
-        step = period * (math.floor(share) if share >= FAST else 1)
+        step = period * (2 ** math.floor(math.log2(share)) if share >= FAST else 1)
         return step, max(round(length / step), 1), True
     parts = math.ceil(1.0 / share)
     return period / parts, parts * max(round(length / period), 1), True

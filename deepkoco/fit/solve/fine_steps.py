@@ -29,27 +29,26 @@ def fine_steps(
 ) -> int:
     """Return into how many parts each integration step must be cut: a power of two.
 
-    The error of a step is estimated by the change that half of it makes. It is compared with the residuals of the fit:
-    where something larger is missing, a fine step shows nothing more. Residuals that finer steps remove are no such
-    reason, so the smaller ones count.
+    The error of a step is its difference from the finest one. Half a step does not tell it: two coarse steps can both
+    miss the instant at which a joint turns, and agree. The error is compared with the residuals of the fit: where
+    something larger is missing, a fine step shows nothing more. Residuals that finer steps remove are no such reason,
+    so those of the finest step count where they are smaller.
 
     Args:
         problem_of: Gives the problem of such windows.
         windows: The windows.
         fit: A fit of them; its parameters, initial states and nuisances are simulated.
-        most: Largest number of parts.
+        most: Largest number of parts, a power of two.
     """
-    parts, before = 1, _simulated(problem_of, windows, fit, 1)
+    parts, own = 1, _simulated(problem_of, windows, fit, 1)
+    finest = _simulated(problem_of, windows, fit, most)
     # The fit may be of other noise than these windows have.
-    left = replace(fit, residual=windows.value * problem_of(windows).weight - before)
-    deflation = dispersion(left, windows).deflation
-    while parts < most:
-        finer = _simulated(problem_of, windows, fit, 2 * parts)
-        left = replace(left, residual=left.residual + before - finer)
-        deflation = min(deflation, dispersion(left, windows).deflation)
-        if not float((finer - before).square().sum()) > UNSEEN * deflation:
-            break
-        parts, before = 2 * parts, finer
+    target = windows.value * problem_of(windows).weight
+    left = (replace(fit, residual=target - simulated) for simulated in (own, finest))
+    told = UNSEEN * min(dispersion(each, windows).deflation for each in left)
+    while parts < most and float((finest - own).square().sum()) > told:
+        parts *= 2
+        own = _simulated(problem_of, windows, fit, parts) if parts < most else finest
     return parts
 
 

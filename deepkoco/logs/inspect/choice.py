@@ -72,9 +72,10 @@ class Proposal:
 
     @property
     def complete(self) -> bool:
-        """Whether at least one command and one measurement have a column."""
+        """Whether a measurement has a column, and a command too unless a free motion is a log of the system."""
         kinds = {c.channel.kind for c in self.choices if c.column is not None}
-        return kinds == {"command", "measurement"}
+        asked = {c.channel.kind for c in self.choices if c.channel.default is None}
+        return "measurement" in kinds and ("command" in kinds or "command" not in asked)
 
 
 def mapping_of(survey: Survey, proposal: Proposal) -> dict[str, ChannelColumn]:

@@ -91,7 +91,7 @@ def _without_time(survey: Survey) -> NoProposalError:
 
 def _nothing(survey: Survey, proposal: Proposal, asked: bool) -> NoProposalError:
     """Error if no proposal has a command and a measurement."""
-    missing = [c.channel.name for c in proposal.choices if c.column is None]
+    missing = [c.channel.name for c in proposal.choices if c.column is None and c.channel.default is None]
     what = (
         f"no column fits the channel {', '.join(missing)} of {proposal.system}"
         if asked

@@ -30,10 +30,10 @@ def write(path: Path, p: Values, rng: Any) -> None:
         angle, speed = x
         duty = np.sign(u[0]) * max(abs(u[0]) - p.get("dead", 0.0), 0.0)
         torque = p["constant"] * (p["supply"] * duty - p["constant"] * speed) / p["resistance"]
-        torque -= p["viscous"] * speed + dry(p["friction"], speed, 0.2)
+        torque -= p["viscous"] * speed + dry(p["friction"], speed, 0.01)
         torque += p.get("cogging", 0.0) * np.sin(12.0 * angle + 0.4)
         if speed < 0.0:
-            torque -= p.get("backward", 0.0) * np.tanh(speed / 0.2)
+            torque -= p.get("backward", 0.0) * np.tanh(speed / 0.01)
         return np.array([speed, torque / p["inertia"]])
 
     x = along(slope, np.zeros(2), np.arange(n) / RATE, u[:, None], p.get("delay", 0.0))
