@@ -72,6 +72,7 @@ class DelayGraphVectorEnv(GraphVectorEnv):
         self.action_scale = np.ones_like(self.limits) if physical else self.limits
         bound = (self.limits / self.action_scale).astype(np.float32)
         entries = np.array(self.task.observation_bounds, np.float32)
+        entries = np.tile(entries, 1 + self.settings.observation_history)
         entries = np.concatenate([entries, np.tile(bound, self.settings.action_history)])
         super().__init__(
             num_envs,
@@ -118,16 +119,28 @@ class DelayGraphVectorEnv(GraphVectorEnv):
                 self.task.speed_limit,
             ),
             sensor,
-            TaskAgent(self.system, self.task, settings.action_history, self.action_scale.tolist()),
+            TaskAgent(
+                self.system,
+                self.task,
+                settings.action_history,
+                self.action_scale.tolist(),
+                settings.observation_history,
+            ),
         ]
         window = command_window(actuation, rate, settings.ticks_per_second)
         connections = [
             Connection("world", "sensor", window=sensor.states_between(settings.ticks_per_second)),
             Connection("world", "agent", name="truth"),
-            Connection("sensor", "agent", delay=sensing),
             Connection("agent", "world", delay=actuation, window=window, skip=True),
         ]
-        return Graph(nodes, connections)
+        if settings.estimator == "none":
+            return Graph(nodes, [*connections, Connection("sensor", "agent", delay=sensing)])
+        from deepkoco.envs.estimated import between_sensor_and_agent  # the fits are a second of imports
+
+        own, joined = between_sensor_and_agent(
+            self.system, self.task, settings, sensing, actuation, float(sensor_rate)
+        )
+        return Graph([*nodes, own], [*connections, *joined])
 
     def _delays_differ(self, name: str) -> bool:
         """Whether environments draw a delay of their own from a range."""
