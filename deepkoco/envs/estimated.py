@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from deepkoco.envs.settings import EnvironmentSettings, SettingsError
 from deepkoco.envs.task_randomization import ESTIMATOR
@@ -15,6 +16,40 @@ from deepkoco.systems import System
 
 START_POSITION, START_SPEED = 3.0, 10.0  # spread before the first measurement [rad or m; per second]
 MOST_MESSAGES = 6  # measurements taken in at a tick; each is a part of the compiled step
+
+
+@dataclass(frozen=True)
+class FilterSettings:
+    """What a filter of a task's system takes for granted.
+
+    Attributes:
+        noise_density: (S,) spectral density of the process noise of each state.
+        noise_sd: (N,) standard deviation of each sensor, in the channel's unit.
+        start_sd: (S,) standard deviation before the first measurement.
+    """
+
+    noise_density: tuple[float, ...]
+    noise_sd: tuple[float, ...]
+    start_sd: tuple[float, ...]
+
+
+def filter_settings(scene: System, task: Task, process_noise: float) -> FilterSettings:
+    """Settings for a task on a system.
+
+    Args:
+        scene: The system with what the task adds to it.
+        task: Limits the speeds.
+        process_noise: As for `EnvironmentSettings`.
+    """
+    joints, states = scene.joints, len(scene.state_names)
+    # Of states behind the positions and speeds nothing is known; they get what the speeds get.
+    limit = task.speed_limit if math.isfinite(task.speed_limit) else START_SPEED
+    return FilterSettings(
+        tuple(0.0 if i < joints else process_noise**2 for i in range(states)),
+        # A sensor that declares no noise still rounds and drifts: a share of what it can show.
+        tuple(c.noise_sd or 1e-4 * min(max(abs(c.low), abs(c.high)), 10.0) for c in scene.measurements),
+        tuple(START_POSITION if i < joints else limit for i in range(states)),
+    )
 
 
 def between_sensor_and_agent(
@@ -38,14 +73,7 @@ def between_sensor_and_agent(
         SettingsError: The filter cannot be made for this system.
     """
     rate, period = task.control_rate, 1.0 / sensor_rate
-    spread = (0.0, settings.process_noise**2)
-    joints, states = scene.joints, len(scene.state_names)
-    # Of states behind the positions and speeds nothing is known; their own unit is taken for the speeds'.
-    of_state = [spread[min(i // joints, 1)] for i in range(states)]
-    limit = task.speed_limit if math.isfinite(task.speed_limit) else START_SPEED
-    start = [START_POSITION if i < joints else limit for i in range(states)]
-    # A sensor that declares no noise still rounds and drifts: a share of what it can show.
-    noise = [c.noise_sd or 1e-4 * min(max(abs(c.low), abs(c.high)), 10.0) for c in scene.measurements]
+    own = filter_settings(scene, task, settings.process_noise)
     limits = tuple(
         (max(-most, c.low), min(most, c.high))
         for most, c in zip(task.command_limits, scene.commands, strict=True)
@@ -56,13 +84,13 @@ def between_sensor_and_agent(
         node = StateEstimator(
             scene,
             rate,
-            tuple(of_state),
-            tuple(noise),
+            own.noise_density,
+            own.noise_sd,
             ahead=float(actuation.mean) if settings.estimator == "predicted" else None,
             actuation_delay=float(actuation.mean),
             measurement_period=period,
             latest=float(sensing.mean) + period,
-            start_sd=tuple(start),
+            start_sd=own.start_sd,
             command_limits=limits,
             name=ESTIMATOR,
         )
