@@ -1,5 +1,7 @@
 """The estimator around environments: against the node of the graph, on a unit, and where episodes begin anew."""
 
+from typing import Any
+
 import gymnasium
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ from deepkoco.envs.settings import SettingsError
 from deepkoco.envs.unit_env import UnitEnv
 from deepkoco.unit import make_unit
 
-LATE = {"sensing_delay": 0.04, "actuation_delay": 0.02}
+LATE: dict[str, Any] = {"sensing_delay": 0.04, "actuation_delay": 0.02}
 
 
 def envs(count=3, steps=40, **settings):

@@ -52,7 +52,7 @@ class Memory:
         return last, torch.where(there, self.time[:, -1], self.since)
 
     def where(self, mask: Tensor, other: Memory) -> Memory:
-        """Combine two memories of the same sizes: this one in the environments of the mask (B,), ``other`` in the rest."""
+        """Combine two memories of the same sizes: this one where the mask (B,) is true, ``other`` in the rest."""
 
         def combined(own: Tensor, others: Tensor) -> Tensor:
             return torch.where(mask.reshape(-1, *(1,) * (own.ndim - 1)), own, others)
