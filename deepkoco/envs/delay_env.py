@@ -12,7 +12,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from torch import Tensor
 
-from deepkoco.engines import command_window
+from deepkoco.engines.assembly import command_window, longest_further_delay
 from deepkoco.engines.ode import World
 from deepkoco.engines.sensor import Sensor
 from deepkoco.envs.graph_env import FIRST_STEPS, GraphEnv
@@ -127,7 +127,13 @@ class DelayGraphVectorEnv(GraphVectorEnv):
                 settings.observation_history,
             ),
         ]
-        window = command_window(actuation, rate, settings.ticks_per_second)
+        # The longest delay that one command can have, against the shortest that all can have.
+        highest, lowest = self._ends_of_ranges(1), self._ends_of_ranges(0)
+        further = longest_further_delay(self.system, highest)
+        further += float(
+            self.system.timing(highest).actuation_delay - self.system.timing(lowest).actuation_delay
+        )
+        window = command_window(actuation, rate, settings.ticks_per_second, further)
         connections = [
             Connection("world", "sensor", window=sensor.states_between(settings.ticks_per_second)),
             Connection("world", "agent", name="truth"),
@@ -148,12 +154,7 @@ class DelayGraphVectorEnv(GraphVectorEnv):
 
     def _nominal_delay(self, name: str) -> Delay:
         """Delay that the graph is laid out for: of a range the top, so that first messages arrive in time."""
-        parameters, ranges = self.system.default_parameters(), self.settings.randomize
-        parameters |= {
-            key: torch.as_tensor(high, dtype=torch.float64)
-            for key, (_, high) in ranges.items()
-            if key not in DELAYS
-        }
+        parameters, ranges = self._ends_of_ranges(1), self.settings.randomize
         own = float(getattr(self.system.timing(parameters), name))
         law = make_delay(ranges[name][1] if name in ranges else getattr(self.settings, name))
         if not law.constant and own != 0.0:
@@ -161,6 +162,15 @@ class DelayGraphVectorEnv(GraphVectorEnv):
                 f"{name}: the model has one of {own:g} s and the environment a random one; put both into one law"
             )
         return law if own == 0.0 else Deterministic(float(law.mean) + own)
+
+    def _ends_of_ranges(self, end: int) -> dict[str, Tensor]:
+        """Nominal parameters; of a range the bottom (0) or the top (1)."""
+        ranges = self.settings.randomize
+        return self.system.default_parameters() | {
+            key: torch.as_tensor(span[end], dtype=torch.float64)
+            for key, span in ranges.items()
+            if key not in DELAYS
+        }
 
     def _make_randomization(self, parameters: Values, randomize: Randomize) -> Randomization:
         return TaskRandomization(self.system, self.settings, self.graph)

@@ -25,7 +25,7 @@ MOST_COMMANDS = 64  # kept; at 50 Hz they reach back more than a second
 
 
 class Estimates:
-    """Estimates of B environments, step by step, on a clock that all share.
+    """Estimates of B environments, step by step: by the ``time`` in ``info``, or else by the number of steps.
 
     Args:
         count: B.
@@ -87,6 +87,7 @@ class Estimates:
         self, observation: np.ndarray, info: Mapping[str, Any], mask: np.ndarray | None = None
     ) -> None:
         """Begin episodes: of all, or of those in ``mask`` (B,), with what they show (B, N) now."""
+        self._tell_time(info)
         age = self._age(info)
         size = len(self._start)
         belief = Belief(
@@ -111,6 +112,7 @@ class Estimates:
     def receive(self, observation: np.ndarray, info: Mapping[str, Any]) -> None:
         """Take in what is seen (B, N) at the end of the step."""
         assert self._memory is not None
+        self._tell_time(info)
         age = self._age(info)
         _, last = self._memory.newest()
         # A sample that is seen again has told all it can.
@@ -133,6 +135,12 @@ class Estimates:
         shown = np.asarray(observation, np.float64)[:, : self.width]
         return torch.tensor(np.array([self.task.measurement(self.model, row) for row in shown]))
 
+    def _tell_time(self, info: Mapping[str, Any]) -> None:
+        """Take the clock of the environment, which may be late for a step, in the place of a count of steps."""
+        if "time" in info:
+            own = np.broadcast_to(np.asarray(info["time"], np.float64), self.count)
+            self._time = torch.tensor(own.copy())
+
     def _age(self, info: Mapping[str, Any]) -> Tensor:
         age = info.get("observation_age", self.sensing_delay)
         if isinstance(age, Mapping):  # by term: the oldest says when all of it was so
@@ -144,8 +152,9 @@ class EstimatorWrapper(gymnasium.Wrapper, RecordConstructorArgs):
     """Shows the agent an estimate of the state in the place of the newest measurement.
 
     An unscented filter takes in each observation at the time at which it was measured, which ``observation_age`` in
-    ``info`` says, and predicts with the actions that were sent. `DelayWrapper` and `UnitEnv` tell the age. What is
-    seen behind the task's own entries, such as past actions, stays.
+    ``info`` says, and predicts with the actions that were sent. `DelayWrapper` and `UnitEnv` tell the age. Where
+    ``info`` has the ``time`` of a step, as in real time, that is taken, else one step after the other. What is seen
+    behind the task's own entries, such as past actions, stays.
 
     Args:
         env: An environment of a task of this package, or a wrapper around one.

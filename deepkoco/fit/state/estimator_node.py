@@ -207,7 +207,7 @@ class StateEstimator(Node):
                 raise FilterError(
                     f"{what} = {values}; give {'values above 0' if least is None else '0 or more'}"
                 )
-        if float(system.timing(system.default_parameters()).lag) > 0.0:
+        if bool((system.command_lags(system.default_parameters()) > 0.0).any()):
             raise FilterError(
                 f"{system.name}: its actuator has a time constant, whose effort is no part of the state"
             )

@@ -122,12 +122,12 @@ def draw(shares: pd.DataFrame) -> Figure:
     Args:
         shares: A row for each seed and way.
     """
-    shares = shares[shares["clock"] == "virtual"]
+    virtual = shares[shares["clock"] == "virtual"]
     with house_style():
         figure, panel = plt.subplots(figsize=(8.0, 3.6), layout="constrained")
-        known = [label for label in labels() if label in set(shares["label"])]
+        known = [label for label in labels() if label in set(virtual["label"])]
         for place, label in enumerate(known):
-            values = 100.0 * shares.loc[shares["label"] == label, "upright"].to_numpy()
+            values = 100.0 * virtual.loc[virtual["label"] == label, "upright"].to_numpy()
             mean, low, high = mean_with_band(values)
             colour = COLOURS[labels()[label]]
             panel.errorbar(
@@ -150,7 +150,8 @@ def summary(runs: pd.DataFrame, shares: pd.DataFrame) -> str:
         shares: A row for each seed and way.
     """
     lines = [
-        "| on the unit | upright, mean of seeds [95 %] | worst seed | in real time | cost in its simulation | processor seconds of a run |",
+        "| on the unit | upright, mean of seeds [95 %] | worst seed | in real time | cost in its simulation | "
+        "processor seconds of a run |",
         "|---|---|---|---|---|---|",
     ]
     for label, method in labels().items():
