@@ -36,7 +36,8 @@ CONTROL, SENSOR = 20, 10  # steps between two commands, and between two measurem
 NOISE = (0.002, 0.02)  # position [m], velocity [m/s]
 EARTH = 9.81  # [m/s2]
 NOMINAL_MASS = 0.033  # [kg]
-SHAKING = (1.5, 1.5, 3.0)  # standard deviation of the wanted acceleration, anew for each command [m/s2]
+SHAKING = (1.5, 1.5, 6.0)  # standard deviation of the wanted acceleration, anew for each command [m/s2]
+MOST = np.array([3.5, 3.5, 7.0])  # of a wanted acceleration [m/s2]
 WANTED = (0.02, 1e-3)  # relative error of a parameter, error of a delay [s]
 
 
@@ -99,7 +100,7 @@ class Flight:
     def _decide(self, state: np.ndarray, place: np.ndarray) -> tuple[float, float, float]:
         """Thrust, roll and pitch of a position controller of the nominal quadrotor, with some shaking."""
         wanted = 2.0 * (place - state[:3]) - 1.8 * state[3:] + self.rng.normal(0.0, SHAKING)
-        x, y, z = np.clip(wanted, -3.5, 3.5) + np.array([0.0, 0.0, EARTH])
+        x, y, z = np.clip(wanted, -MOST, MOST) + np.array([0.0, 0.0, EARTH])
         size = math.sqrt(x * x + y * y + z * z)
         thrust = float(np.clip(NOMINAL_MASS * size, 0.0, 0.6))
         return (
