@@ -12,21 +12,33 @@ from deepkoco.graph import Input
 def mean_over_tick(values: Tensor, commands: Input, period: float) -> Tensor:
     """Time average (B, ...) over the tick that ends now.
 
-    Each command holds from its arrival to the next one's; the oldest has held since before the tick.
-
     Args:
         values: (B, window, ...) what each of the commands delivers.
         commands: The commands, with their arrivals.
         period: Length of the tick [s].
     """
     end = commands.t_start
-    arrival = torch.minimum(torch.maximum(commands.t_received, (end - period)[:, None]), end[:, None])
-    until = torch.cat([arrival[:, 1:], end[:, None]], 1)
-    since = torch.cat([(end - period)[:, None], arrival[:, 1:]], 1)
+    return held_integral(values, commands.t_received, end - period, end) / period
+
+
+def held_integral(values: Tensor, acts: Tensor, begin: Tensor, end: Tensor) -> Tensor:
+    """Integral (B, ...) over time of what is held.
+
+    Each value holds from the time at which it acts to that of the next one; the oldest has held since ever.
+
+    Args:
+        values: (B, window, ...), oldest first.
+        acts: (B, window) times from which they act [s].
+        begin, end: (B,) [s].
+    """
+    begin, end = begin[:, None], end[:, None]
+    arrival = torch.minimum(torch.maximum(acts, begin), end)
+    until = torch.cat([arrival[:, 1:], end], 1)
+    since = torch.cat([begin, arrival[:, 1:]], 1)
     held = until - since
     if values.ndim > 2:
         held = held.unsqueeze(-1)
-    return (values * held).sum(1) / period
+    return (values * held).sum(1)
 
 
 def means_within_tick(values: Tensor, commands: Input, period: float, parts: int) -> np.ndarray:

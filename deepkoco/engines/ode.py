@@ -82,10 +82,8 @@ class World(Node):
             sent = torch.stack([sent[..., i] for i in self.entries], -1)
         cut = [sent[..., i].clamp(low, high) for i, (low, high) in enumerate(self.limits)]
         command = self.system.effort_of(torch.stack(cut, -1))
-        target = mean_over_tick(self.system.actuate(command, parameters), inputs["agent"], dt)
-        lag = self.system.timing(parameters).lag
-        if target.ndim > 1:
-            lag = lag.unsqueeze(-1)
+        target = self._delivered(self.system.actuate(command, parameters), inputs["agent"], parameters)
+        lag = self.system.command_lags(parameters)
         # Exact first-order response; where the time constant is zero the effort is the target.
         held = torch.where(lag > 0, lag, 1.0)
         decay = torch.where(lag > 0, torch.exp(-dt / held), 0.0)
@@ -103,6 +101,17 @@ class World(Node):
         delivered = torch.where(started, target + (state["effort"] - target) * decay, state["effort"])
         fixed = {"state": now, "effort": delivered, "started": torch.ones_like(state["started"])}
         return {**state, **fixed, **carried}, now
+
+    def _delivered(self, efforts: Tensor, commands: Input, parameters: Parameters) -> Tensor:
+        """Mean over the tick of what is held; a command with a delay of its own is held from later on."""
+        further = self.system.further_delays(parameters)
+        if further is None:
+            return mean_over_tick(efforts, commands, self.period)
+        means = []
+        for index, delay in enumerate(further):
+            late = commands.t_received + (delay.unsqueeze(-1) if delay.ndim else delay)
+            means.append(mean_over_tick(efforts[..., index], commands._replace(t_received=late), self.period))
+        return torch.stack(means, -1)
 
     def _stick_slip(
         self,

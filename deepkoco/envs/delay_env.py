@@ -12,7 +12,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from torch import Tensor
 
-from deepkoco.engines import command_window
+from deepkoco.engines.assembly import command_window, longest_further_delay
 from deepkoco.engines.ode import World
 from deepkoco.engines.sensor import Sensor
 from deepkoco.envs.graph_env import FIRST_STEPS, GraphEnv
@@ -72,6 +72,7 @@ class DelayGraphVectorEnv(GraphVectorEnv):
         self.action_scale = np.ones_like(self.limits) if physical else self.limits
         bound = (self.limits / self.action_scale).astype(np.float32)
         entries = np.array(self.task.observation_bounds, np.float32)
+        entries = np.tile(entries, 1 + self.settings.observation_history)
         entries = np.concatenate([entries, np.tile(bound, self.settings.action_history)])
         super().__init__(
             num_envs,
@@ -118,16 +119,34 @@ class DelayGraphVectorEnv(GraphVectorEnv):
                 self.task.speed_limit,
             ),
             sensor,
-            TaskAgent(self.system, self.task, settings.action_history, self.action_scale.tolist()),
+            TaskAgent(
+                self.system,
+                self.task,
+                settings.action_history,
+                self.action_scale.tolist(),
+                settings.observation_history,
+            ),
         ]
-        window = command_window(actuation, rate, settings.ticks_per_second)
+        # The longest delay that one command can have, against the shortest that all can have.
+        highest, lowest = self._ends_of_ranges(1), self._ends_of_ranges(0)
+        further = longest_further_delay(self.system, highest)
+        further += float(
+            self.system.timing(highest).actuation_delay - self.system.timing(lowest).actuation_delay
+        )
+        window = command_window(actuation, rate, settings.ticks_per_second, further)
         connections = [
             Connection("world", "sensor", window=sensor.states_between(settings.ticks_per_second)),
             Connection("world", "agent", name="truth"),
-            Connection("sensor", "agent", delay=sensing),
             Connection("agent", "world", delay=actuation, window=window, skip=True),
         ]
-        return Graph(nodes, connections)
+        if settings.estimator == "none":
+            return Graph(nodes, [*connections, Connection("sensor", "agent", delay=sensing)])
+        from deepkoco.envs.estimated import between_sensor_and_agent  # the fits are a second of imports
+
+        own, joined = between_sensor_and_agent(
+            self.system, self.task, settings, sensing, actuation, float(sensor_rate)
+        )
+        return Graph([*nodes, own], [*connections, *joined])
 
     def _delays_differ(self, name: str) -> bool:
         """Whether environments draw a delay of their own from a range."""
@@ -135,12 +154,7 @@ class DelayGraphVectorEnv(GraphVectorEnv):
 
     def _nominal_delay(self, name: str) -> Delay:
         """Delay that the graph is laid out for: of a range the top, so that first messages arrive in time."""
-        parameters, ranges = self.system.default_parameters(), self.settings.randomize
-        parameters |= {
-            key: torch.as_tensor(high, dtype=torch.float64)
-            for key, (_, high) in ranges.items()
-            if key not in DELAYS
-        }
+        parameters, ranges = self._ends_of_ranges(1), self.settings.randomize
         own = float(getattr(self.system.timing(parameters), name))
         law = make_delay(ranges[name][1] if name in ranges else getattr(self.settings, name))
         if not law.constant and own != 0.0:
@@ -148,6 +162,15 @@ class DelayGraphVectorEnv(GraphVectorEnv):
                 f"{name}: the model has one of {own:g} s and the environment a random one; put both into one law"
             )
         return law if own == 0.0 else Deterministic(float(law.mean) + own)
+
+    def _ends_of_ranges(self, end: int) -> dict[str, Tensor]:
+        """Nominal parameters; of a range the bottom (0) or the top (1)."""
+        ranges = self.settings.randomize
+        return self.system.default_parameters() | {
+            key: torch.as_tensor(span[end], dtype=torch.float64)
+            for key, span in ranges.items()
+            if key not in DELAYS
+        }
 
     def _make_randomization(self, parameters: Values, randomize: Randomize) -> Randomization:
         return TaskRandomization(self.system, self.settings, self.graph)

@@ -16,7 +16,8 @@ from deepkoco.systems import Parameters, System
 class TaskAgent(Supervisor):
     """The seat of the agent: it sees measurements, and is paid for the true state and its commands.
 
-    Readings: ``observation`` (B, N) of what it has received, then its last commands, newest first;
+    Readings: ``observation`` (B, N) of what it has received, then those of the steps before and its last commands,
+    newest first and 0 before there are any;
     ``reward`` (B,), minus the task's cost of the true state at its step before and the commands given then;
     ``terminated`` (B,) where the task has limits and the true state lies outside now; and what the task reads of the
     true state now.
@@ -26,15 +27,19 @@ class TaskAgent(Supervisor):
         task: Says what the agent sees and pays, and its rate.
         history: How many steps' commands are appended.
         scale: Commands are divided by it (M,) before they are appended, in the commands' units.
+        observations: How many observations of the steps before are appended.
     """
 
     inputs = ("truth", "sensor")
 
-    def __init__(self, scene: System, task: Task, history: int, scale: Sequence[float]) -> None:
+    def __init__(
+        self, scene: System, task: Task, history: int, scale: Sequence[float], observations: int = 0
+    ) -> None:
         self.width = len(scene.commands)
         idle = torch.zeros(self.width, dtype=torch.float64)
         super().__init__(rate=task.control_rate, initial_action=idle)
         self.scene, self.task, self.history, self.scale = scene, task, history, tuple(scale)
+        self.observations = observations
 
     def init(self, parameters: Parameters, generator: torch.Generator, batch: int) -> State:
         state = {
@@ -43,15 +48,25 @@ class TaskAgent(Supervisor):
         }
         if self.history:
             state["history"] = torch.zeros(batch, self.history * self.width, dtype=torch.float64)
+        if self.observations:
+            entries = self.observations * len(self.task.observation_bounds)
+            state["observations"] = torch.zeros(batch, entries, dtype=torch.float64)
         return state
 
     def observe(
         self, parameters: Parameters, state: State, inputs: Mapping[str, Input], action: Tensor
     ) -> tuple[State, dict[str, Tensor]]:
         truth = inputs["truth"].data[:, -1]
-        observation = self.task.observation(self.scene, inputs["sensor"].data[:, -1])
+        shown = inputs["sensor"].data
+        # A sensor whose output has parts, as that of an estimator, names the one that is a measurement.
+        measured = shown["measurement"] if isinstance(shown, Mapping) else shown
+        observation = self.task.observation(self.scene, measured[:, -1])
         reward = -self.task.cost(self.scene, state["truth"], action, parameters or None)
         state = {**state, "truth": truth, "command": action}
+        if self.observations:
+            before, now = state["observations"], observation
+            observation = torch.cat([now, before], 1)
+            state["observations"] = observation[:, : before.shape[1]]
         if self.history:
             scaled = [action[:, i : i + 1] / scale for i, scale in enumerate(self.scale)]
             state["history"] = torch.cat([*scaled, state["history"][:, : -self.width]], 1)

@@ -21,6 +21,7 @@ from deepkoco.systems.stick_slip import Joints, StickSlip
 INTEGRATORS = ("rk4", "semi_implicit_euler")
 ACTION_UNITS = ("normalized", "physical")
 DELAYS = ("actuation_delay", "sensing_delay")
+ESTIMATORS = ("none", "filtered", "predicted")
 
 
 class SettingsError(ValueError):
@@ -47,6 +48,12 @@ class EnvironmentSettings:
         noise: Whether measurements carry the noise that the system's channels declare.
         action_history: How many past actions are appended to the observation, newest first.
         action_units: ``normalized``: actions in [-1, 1]; ``physical``: in the commands' units.
+        observation_history: How many past observations are appended before the actions, newest first.
+        estimator: What the agent sees in the place of the newest measurement: ``filtered``, what an unscented filter
+            makes of all that have come, at the time of the newest; ``predicted``, at the time at which the next command
+            will act, by the mean actuation delay. The model of the filter has the nominal parameters.
+        process_noise: Of that filter: standard deviation of the white acceleration of each joint, times the square root
+            of a second [rad/s^1.5, m/s^1.5].
     """
 
     system: str | Path | System | type[System] | None = None
@@ -60,16 +67,23 @@ class EnvironmentSettings:
     noise: bool = False
     action_history: int = 0
     action_units: str = "normalized"
+    observation_history: int = 0
+    estimator: str = "none"
+    process_noise: float = 1.0
 
     def __post_init__(self) -> None:
         for name, value, choices in (
             ("integrator", self.integrator, INTEGRATORS),
             ("action_units", self.action_units, ACTION_UNITS),
+            ("estimator", self.estimator, ESTIMATORS),
         ):
             if value not in choices:
                 raise SettingsError(f'{name} "{value}" is none of {", ".join(choices)}')
-        if self.action_history < 0:
-            raise SettingsError(f"action_history = {self.action_history}; give 0 or more")
+        for name in ("action_history", "observation_history"):
+            if getattr(self, name) < 0:
+                raise SettingsError(f"{name} = {getattr(self, name)}; give 0 or more")
+        if not (self.process_noise > 0 and math.isfinite(self.process_noise)):
+            raise SettingsError(f"process_noise = {self.process_noise}; give a positive number")
         if self.system is None and self.model is None:
             raise SettingsError("system is not given; give a name, my_robot.py:CLASS, arm.xml or model.yaml")
         system, task = self.make_system(), self.find_task()

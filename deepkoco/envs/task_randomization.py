@@ -15,7 +15,7 @@ from deepkoco.graph import Graph
 from deepkoco.graph.delay import make_delay
 from deepkoco.systems.system import System
 
-EDGES = {"actuation_delay": "agent->world", "sensing_delay": "sensor->agent"}
+ESTIMATOR = "estimator"
 
 
 class TaskRandomization:
@@ -33,6 +33,8 @@ class TaskRandomization:
     def __init__(self, system: System, settings: EnvironmentSettings, graph: Graph) -> None:
         self._system, self._settings, self._graph = system, settings, graph
         names = {*DELAYS, *(f"{name}.delay" for name in DELAYS)}
+        receiver = ESTIMATOR if ESTIMATOR in graph.index else "agent"
+        self._edges = {"actuation_delay": "agent->world", "sensing_delay": f"sensor->{receiver}"}
         self.ranges, self.timed = read_ranges(settings.randomize, names, self._bounds)
 
     def delays(self, draws: Mapping[str, Tensor]) -> Delays:
@@ -42,13 +44,14 @@ class TaskRandomization:
             if name in draws or own.ndim > 0:
                 law = make_delay(getattr(self._settings, name))
                 base = draws[name] if name in draws else torch.tensor(float(law.mean), dtype=torch.float64)
-                delays[EDGES[name]] = (base + own).numpy()
+                delays[self._edges[name]] = (base + own).numpy()
         return delays
 
     def parameters(self, drawn: Mapping[str, Tensor]) -> Mapping[str, Mapping[str, Tensor]]:
-        parameters = self._system.default_parameters()
-        parameters |= {name: value for name, value in drawn.items() if name not in DELAYS}
-        return {node.name: parameters for node in self._graph.nodes}
+        nominal = self._system.default_parameters()
+        parameters = nominal | {name: value for name, value in drawn.items() if name not in DELAYS}
+        # An estimator cannot know what an environment has drawn.
+        return {node.name: nominal if node.name == ESTIMATOR else parameters for node in self._graph.nodes}
 
     def _bounds(self, name: str) -> tuple[float, float, str]:
         if name in DELAYS:

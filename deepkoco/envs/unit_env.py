@@ -32,6 +32,7 @@ class UnitEnv(gymnasium.Env):
         episode_steps: Steps after which the episode is cut.
         action_units: ``normalized`` or ``physical``, as in the simulated environments.
         action_history: How many past actions are appended to the observation, newest first.
+        observation_history: How many past observations are appended before the actions, newest first.
         render_mode: None or ``rgb_array``, drawn from the last measurement.
         render_size: Side of the picture [pixels].
 
@@ -50,6 +51,7 @@ class UnitEnv(gymnasium.Env):
         action_history: int = 0,
         render_mode: str | None = None,
         render_size: int = 256,
+        observation_history: int = 0,
     ) -> None:
         clocks = {"wall": Unit, "simulated": SimulatedUnit}
         for what, value, known in (("clock", clock, clocks), ("action_units", action_units, ACTION_UNITS)):
@@ -65,6 +67,8 @@ class UnitEnv(gymnasium.Env):
         bound = np.array([limit / self.action_scale], np.float32)
         self.action_space = spaces.Box(-bound, bound, dtype=np.float32)
         entries = np.array(self.task.observation_bounds, np.float32)
+        entries = np.tile(entries, 1 + observation_history)
+        self._past = np.zeros((observation_history, len(self.task.observation_bounds)))
         entries = np.concatenate([entries, np.tile(bound, action_history)])
         self._history = np.zeros(action_history, np.float32)
         self.observation_space = spaces.Box(-entries, entries, dtype=np.float32)
@@ -94,7 +98,7 @@ class UnitEnv(gymnasium.Env):
             self._loop = ControlLoop(self._unit, self.task.control_rate)
         self._take(self._loop.reset((float(state[0]), float(state[1]))))
         self._elapsed, self._command = 0, 0.0
-        self._history[:] = 0.0
+        self._history[:], self._past[:] = 0.0, 0.0
         return self._observation(), self._info()
 
     def step(self, action: np.ndarray):
@@ -128,7 +132,9 @@ class UnitEnv(gymnasium.Env):
 
     def _observation(self) -> np.ndarray:
         observation = self.task.observation(self.system, self._measured).numpy()
-        return np.concatenate([observation, self._history]).astype(np.float32)
+        seen = np.concatenate([observation[None], self._past])
+        self._past = seen[:-1]
+        return np.concatenate([seen.ravel(), self._history]).astype(np.float32)
 
     def _info(self) -> dict[str, Any]:
         away = float(self.task.angle_from_upright(self.system, self._measured))

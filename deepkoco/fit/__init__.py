@@ -15,6 +15,7 @@ from deepkoco.fit.solve.identifiability import Direction, unidentified
 from deepkoco.fit.solve.methods import METHODS, CmaEs, LevenbergMarquardt
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.state.estimator import DelayedEstimator, Memory, system_derivative
+from deepkoco.fit.state.estimator_node import StateEstimator
 from deepkoco.fit.state.unscented import Belief, FilterError, SigmaPoints
 
 __all__ = [
@@ -40,6 +41,7 @@ __all__ = [
     "Prior",
     "Search",
     "SigmaPoints",
+    "StateEstimator",
     "Trial",
     "Windows",
     "cma_es",

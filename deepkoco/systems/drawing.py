@@ -68,6 +68,31 @@ def draw_quadrotor(image: np.ndarray, height: float, span: float = 0.3, reach: f
     _disk(image, (x, y), 0.035 * size, MASS)
 
 
+def draw_quadrotor_in_space(
+    image: np.ndarray, place: tuple[float, float, float], pitch: float = 0.0, reach: float = 1.5
+) -> None:
+    """Draw a quadrotor from the side, x to the right and z up, and its shadow on the ground; nearer (-y) is larger.
+
+    Args:
+        image: uint8 (size, size, 3).
+        place: x, y and z [m].
+        pitch: Tilt of the line between the rotors, forwards down [rad].
+        reach: This far [m] from the centre is in the picture.
+    """
+    size = image.shape[0]
+    x, y, z = (float(np.clip(value / reach, -1.0, 1.0)) for value in place)
+    centre = size / 2 + REACH * size * x, size / 2 - REACH * size * z
+    arm = 0.1 * size * (1.0 - 0.4 * y)
+    ground = 0.94 * size
+    _line(image, (centre[0] - arm, ground), (centre[0] + arm, ground), ROD, max(1, round(0.012 * size)))
+    along = (arm * math.cos(pitch), arm * math.sin(pitch))
+    ends = [(centre[0] + s * along[0], centre[1] + s * along[1]) for s in (-1.0, 1.0)]
+    _line(image, ends[0], ends[1], INK, max(1, round(0.02 * size)))
+    for end in ends:
+        _disk(image, end, 0.02 * size, ROD)
+    _disk(image, centre, 0.03 * size, MASS)
+
+
 def draw_command(image: np.ndarray, fraction: float) -> None:
     """Draw the command as an arc; ``fraction`` in [-1, 1] of the command's limit."""
     size = image.shape[0]

@@ -243,6 +243,16 @@ class ExtendedSystem(WrappedSystem):
         lag = parameters.get(f"lag({COMMON}).time_constant", zero) + lags[0]
         return Timing(base.actuation_delay + delay, sensing, base.lag + lag)
 
+    def command_lags(self, parameters: Parameters) -> Tensor:
+        # What `timing` adds to the lag of the base comes from effects and is the same for all commands.
+        added = self.timing(parameters).lag - self.base.timing(parameters).lag
+        return self.base.command_lags(parameters) + (
+            added if len(self.commands) == 1 else added.unsqueeze(-1)
+        )
+
+    def further_delays(self, parameters: Parameters) -> tuple[Tensor, ...] | None:
+        return self.base.further_delays(parameters)
+
     def command_timing(self, index: int, parameters: Parameters) -> CommandTiming:
         base = self.base.command_timing(index, parameters)
         zero = torch.zeros((), dtype=torch.float64)

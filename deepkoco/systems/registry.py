@@ -10,6 +10,7 @@ from deepkoco.suggestion import did_you_mean
 from deepkoco.systems.bodies.double_pendulum import DoublePendulum
 from deepkoco.systems.bodies.furuta_pendulum import FurutaPendulum
 from deepkoco.systems.bodies.pendulum import Pendulum
+from deepkoco.systems.bodies.quadrotor import Quadrotor
 from deepkoco.systems.bodies.quadrotor_height import QuadrotorHeight
 from deepkoco.systems.bodies.rod_pendulum import RodPendulum
 from deepkoco.systems.bodies.servo_pendulum import ServoPendulum
@@ -21,7 +22,10 @@ from deepkoco.systems.system import System
 JOINT_SYSTEMS: dict[str, type[JointSystem]] = {s.name: s for s in (Pendulum, RodPendulum, TorquePendulum)}
 SYSTEMS: dict[str, Callable[[], System]] = {
     **JOINT_SYSTEMS,
-    **{s.name: s for s in (TwoLinkArm, QuadrotorHeight, DoublePendulum, FurutaPendulum, ServoPendulum)},
+    **{
+        s.name: s
+        for s in (TwoLinkArm, QuadrotorHeight, Quadrotor, DoublePendulum, FurutaPendulum, ServoPendulum)
+    },
 }
 ENTRY_POINTS = "deepkoco.systems"  # group in which an installed package declares systems
 

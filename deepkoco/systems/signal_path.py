@@ -130,6 +130,15 @@ class SignalPath:
         """As :meth:`measure` along a log, ``time`` (...) since its first command [s]."""
         return self.measure(state, parameters)
 
+    def command_lags(self, parameters: Parameters) -> Tensor:
+        """Time constants of the first-order answers (...) of one actuator, (..., M) of several [s]; 0 for none."""
+        lag = self.timing(parameters).lag
+        return lag if len(self.commands) == 1 else lag.unsqueeze(-1)
+
+    def further_delays(self, parameters: Parameters) -> tuple[Tensor, ...] | None:
+        """Delay of each command beyond that of :meth:`timing` [s]; None where all act at the same time."""
+        return None
+
     def sensor_filter(self, parameters: Parameters) -> Tensor:
         """Time constant of a first-order filter behind all sensors [s]; 0 for a plain system."""
         return torch.zeros((), dtype=torch.float64)

@@ -191,6 +191,12 @@ class WrappedSystem(System):
     def command_timing(self, index: int, parameters: Parameters) -> CommandTiming:
         return self.base.command_timing(index, parameters)
 
+    def command_lags(self, parameters: Parameters) -> Tensor:
+        return self.base.command_lags(parameters)
+
+    def further_delays(self, parameters: Parameters) -> tuple[Tensor, ...] | None:
+        return self.base.further_delays(parameters)
+
     def sensor_filter(self, parameters: Parameters) -> Tensor:
         return self.base.sensor_filter(parameters)
 

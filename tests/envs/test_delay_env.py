@@ -372,3 +372,17 @@ def test_one_environment_reads_what_a_batch_reads():
         assert observations.dtype == np.float32
         np.testing.assert_allclose(observations, together[:, 0], atol=1e-5)
         np.testing.assert_allclose(own, rewards[:, 0], atol=1e-5)
+
+
+def test_observations_of_the_steps_before_are_appended_newest_first():
+    envs = DelayGraphVectorEnv(
+        2, 10, system="rod_pendulum", observation_history=2, action_history=1, executor="eager"
+    )
+    rows = [envs.reset(seed=3)[0]]
+    assert rows[0].shape == (2, 10) == envs.observation_space.shape
+    np.testing.assert_array_equal(rows[0][:, 3:], 0.0)
+    for action in (0.5, -0.25):
+        rows.append(envs.step(np.full((2, 1), action, np.float32))[0])
+    np.testing.assert_array_equal(rows[2][:, 3:6], rows[1][:, :3])
+    np.testing.assert_array_equal(rows[2][:, 6:9], rows[0][:, :3])
+    np.testing.assert_allclose(rows[2][:, 9], -0.25)

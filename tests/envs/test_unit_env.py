@@ -92,3 +92,16 @@ def test_unknown_units_of_actions_are_refused(wrong):
 def test_an_unknown_clock_is_refused(wrong):
     with pytest.raises(ValueError, match="wall"):
         UnitEnv(unit(), clock=wrong)
+
+
+def test_observations_of_the_steps_before_are_appended_as_in_the_simulated_environment():
+    settings = {"observation_history": 2, "action_history": 1}
+    actions = np.random.default_rng(1).uniform(-2, 2, (4, 1)).astype(np.float32)
+    actions[0] = 0.0
+    on_unit, _ = roll(UnitEnv(unit(), clock="simulated", **settings), actions)
+    simulated = DelayGraphEnv(
+        system="rod_pendulum", action_units="physical", actuation_delay=0.002, **settings
+    )
+    in_simulation, _ = roll(simulated, actions)
+    assert on_unit.shape == (5, 10)
+    np.testing.assert_allclose(on_unit, in_simulation, atol=2e-3)

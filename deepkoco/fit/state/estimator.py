@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import torch
 from torch import Tensor
 
 from deepkoco.fit.state.unscented import Belief, FilterError, SigmaPoints, predict, update
+from deepkoco.systems import Parameters, System
 
 LONGEST_STEP = 0.01  # longest integration step [s]
 Derivative = Callable[[Tensor, Tensor], Tensor]  # states (B, K, S), commands (B, 1, M) -> (B, K, S)
@@ -49,6 +50,21 @@ class Memory:
         there = torch.isfinite(self.time[:, -1])
         last = Belief(self.mean[:, -1], self.root[:, -1]).where(there, self.before)
         return last, torch.where(there, self.time[:, -1], self.since)
+
+    def where(self, mask: Tensor, other: Memory) -> Memory:
+        """Combine two memories of the same sizes: this one where the mask (B,) is true, ``other`` in the rest."""
+
+        def combined(own: Tensor, others: Tensor) -> Tensor:
+            return torch.where(mask.reshape(-1, *(1,) * (own.ndim - 1)), own, others)
+
+        parts = {f.name: getattr(self, f.name) for f in fields(self)}
+        joined = {
+            name: value.where(mask, other.before)
+            if isinstance(value, Belief)
+            else combined(value, getattr(other, name))
+            for name, value in parts.items()
+        }
+        return Memory(**joined)
 
 
 class DelayedEstimator:
@@ -243,7 +259,7 @@ class DelayedEstimator:
         return _root_of(self.density(time))
 
 
-def system_derivative(system: object, parameters: dict[str, Tensor]) -> Derivative:
+def system_derivative(system: System, parameters: Parameters) -> Derivative:
     """Equations of motion of a system (`deepkoco.systems.System`) in the form that the estimator needs.
 
     Args:
@@ -252,8 +268,10 @@ def system_derivative(system: object, parameters: dict[str, Tensor]) -> Derivati
     """
 
     def derivative(state: Tensor, command: Tensor) -> Tensor:
-        effort = system.actuate(system.effort_of(command), parameters)  # type: ignore[attr-defined]
-        return system.derivative(state, effort.expand(state.shape[:2]), parameters)  # type: ignore[attr-defined]
+        effort = system.actuate(
+            system.effort_of(command), parameters
+        )  # (B, 1), or (B, 1, M) of several commands
+        return system.derivative(state, effort.expand(*state.shape[:2], *effort.shape[2:]), parameters)
 
     return derivative
 

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from deepkoco.fit.state.triangular import lower_root, solve_lower
+
 Map = Callable[[Tensor], Tensor]
 
 
@@ -102,10 +104,10 @@ def predict(belief: Belief, transition: Map, noise_root: Tensor, points: SigmaPo
     size = belief.mean.shape[1]
     mean_weight, weight = points.weights(size)
     moved = transition(points.of(belief))
-    mean = torch.einsum("k,bks->bs", mean_weight, moved)
+    mean = (mean_weight[:, None] * moved).sum(1)
     deviation = (moved - mean[:, None]) * weight.sqrt()[:, None]
     rows = torch.cat([deviation, noise_root.mT.expand(len(mean), size, size)], 1)
-    return Belief(mean, _lower_root(rows))
+    return Belief(mean, lower_root(rows))
 
 
 def update(
@@ -139,7 +141,7 @@ def update(
     mean_weight, weight = points.weights(size)
     sigma = points.of(belief)
     shown = measure(sigma)
-    expected = torch.einsum("k,bkn->bn", mean_weight, shown)
+    expected = (mean_weight[:, None] * shown).sum(1)
     there = torch.isfinite(measured)
     innovation = torch.where(there, measured - expected, 0.0)
     if angle is not None:
@@ -149,21 +151,15 @@ def update(
     of_shown = torch.where(there[:, None], shown - expected[:, None], 0.0) * scale
     of_state = (sigma - belief.mean[:, None]) * scale
     # A missing channel has a row with unit noise that is uncorrelated with all others.
-    noise = torch.diag_embed(torch.where(there, noise_sd.expand_as(measured), 1.0))
-    zero = torch.zeros(len(measured), channels, size, dtype=measured.dtype)
+    spread = torch.where(there, noise_sd.expand_as(measured), 1.0)
+    noise = spread[..., None] * torch.eye(channels, dtype=measured.dtype)
+    zero = torch.zeros_like(of_state[:, :1]).expand(-1, channels, -1)
     rows = torch.cat([torch.cat([of_shown, of_state], 2), torch.cat([noise, zero], 2)], 1)
-    root = _lower_root(rows)
+    root = lower_root(rows)
     own, across = root[:, :channels, :channels], root[:, channels:, :channels]
-    whitened = torch.linalg.solve_triangular(own, innovation[..., None], upper=False)[..., 0]
-    mean = belief.mean + torch.einsum("bsn,bn->bs", across, whitened)
-    diagonal = torch.diagonal(own, dim1=-2, dim2=-1).abs().log()
+    whitened = solve_lower(own, innovation)
+    mean = belief.mean + (across * whitened[:, None]).sum(-1)
+    scale = torch.stack([own[:, i, i] for i in range(channels)], -1).log()
     count = there.sum(-1)
-    likelihood = -0.5 * (whitened**2).sum(-1) - diagonal.sum(-1) - 0.5 * math.log(2.0 * math.pi) * count
+    likelihood = -0.5 * (whitened**2).sum(-1) - scale.sum(-1) - 0.5 * math.log(2.0 * math.pi) * count
     return Belief(mean, root[:, channels:, channels:]), likelihood
-
-
-def _lower_root(rows: Tensor) -> Tensor:
-    """Lower triangular L (B, n, n) with L L^T = rows^T rows, its diagonal not negative; rows (B, m, n)."""
-    upper = torch.linalg.qr(rows, mode="r").R
-    sign = torch.where(torch.diagonal(upper, dim1=-2, dim2=-1) < 0, -1.0, 1.0)
-    return (upper * sign[..., None]).mT

@@ -1,0 +1,290 @@
+"""The state estimator around any Gymnasium environment: its agent sees the estimate in the place of the measurement."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+from gymnasium.utils import RecordConstructorArgs
+from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
+from torch import Tensor
+
+from deepkoco.envs.delay_arguments import step_rate
+from deepkoco.envs.estimated import filter_settings
+from deepkoco.envs.seeds import Seeds
+from deepkoco.envs.settings import ESTIMATORS, SettingsError
+from deepkoco.envs.tasks import Task
+from deepkoco.fit.state.estimator import DelayedEstimator, Memory, system_derivative
+from deepkoco.fit.state.unscented import Belief
+from deepkoco.systems import System, any_system
+
+MOST_COMMANDS = 64  # kept; at 50 Hz they reach back more than a second
+
+
+class Estimates:
+    """Estimates of B environments, step by step: by the ``time`` in ``info``, or else by the number of steps.
+
+    Args:
+        count: B.
+        env: Says ``system``, ``task`` and ``action_scale`` where they are not given.
+        rate: Steps per second [Hz].
+        estimator: ``filtered`` or ``predicted``.
+        actuation_delay: Expected time from sending until a command acts [s]; None: what ``env`` expects, or 0.
+        sensing_delay: Age of an observation [s] where ``info`` has no ``observation_age``; None: likewise.
+        process_noise: As for `EnvironmentSettings`.
+        model: What `load_system` takes, for a model of other parameters; None: the system of ``env``.
+
+    Raises:
+        SettingsError: The environment has no task, or the estimator is unknown.
+        FilterError: The filter cannot be made for this system.
+    """
+
+    def __init__(
+        self,
+        count: int,
+        env: Any,
+        rate: float,
+        estimator: str,
+        actuation_delay: float | None,
+        sensing_delay: float | None,
+        process_noise: float,
+        model: Any,
+    ) -> None:
+        if estimator not in ESTIMATORS[1:]:
+            raise SettingsError(f'estimator "{estimator}" is none of {", ".join(ESTIMATORS[1:])}')
+        task, system = _attribute(env, "task"), _attribute(env, "system")
+        if not isinstance(task, Task) or not isinstance(system, System):
+            raise SettingsError(
+                "the environment has no task of deepkoco, so an observation does not say what was measured"
+            )
+        self.task, self.count, self.period = task, count, 1.0 / rate
+        self.model = system if model is None else task.scene(any_system(model))
+        self.predicts = estimator == "predicted"
+        expected = getattr(env, "expected_delays", None)
+        self.actuation_delay = float(_or(actuation_delay, getattr(expected, "actuation", None)))
+        sensing = None if expected is None else max(expected.sensing.values(), default=0.0)
+        self.sensing_delay = float(_or(sensing_delay, sensing))
+        self.scale = torch.as_tensor(np.array(_or(_attribute(env, "action_scale"), 1.0)), dtype=torch.float64)
+        self.limits = torch.tensor(task.command_limits, dtype=torch.float64)
+        self.width = len(task.observation_bounds)
+        own = filter_settings(self.model, task, process_noise)
+        self._start = torch.diag(torch.tensor(own.start_sd, dtype=torch.float64))
+        self._filter = DelayedEstimator(
+            system_derivative(self.model, self.model.default_parameters()),
+            self.model.ideal_measurement,
+            torch.diag(torch.tensor(own.noise_density, dtype=torch.float64)),
+            torch.tensor(own.noise_sd, dtype=torch.float64),
+            kept=2,  # observations come in order
+            angle=torch.tensor([c.angle for c in self.model.measurements]),
+        )
+        self._memory: Memory | None = None
+        self._time = torch.zeros(count, dtype=torch.float64)
+
+    def restart(
+        self, observation: np.ndarray, info: Mapping[str, Any], mask: np.ndarray | None = None
+    ) -> None:
+        """Begin episodes: of all, or of those in ``mask`` (B,), with what they show (B, N) now."""
+        self._tell_time(info)
+        age = self._age(info)
+        size = len(self._start)
+        belief = Belief(
+            torch.zeros(self.count, size, dtype=torch.float64),
+            self._start.expand(self.count, size, size),
+        )
+        idle = torch.zeros(self.count, len(self.limits), dtype=torch.float64)
+        fresh = self._filter.start(belief, self._time - age, idle, MOST_COMMANDS)
+        fresh = self._filter.receive(fresh, self._time, self._measured(observation), age)
+        if mask is not None and self._memory is not None:
+            fresh = fresh.where(torch.from_numpy(np.asarray(mask, bool)), self._memory)
+        self._memory = fresh
+
+    def send(self, actions: np.ndarray) -> None:
+        """Take note of the actions (B, M) of this step."""
+        assert self._memory is not None
+        given = torch.as_tensor(np.asarray(actions), dtype=torch.float64).reshape(self.count, -1)
+        command = torch.minimum(torch.maximum(given * self.scale, -self.limits), self.limits)
+        self._memory = self._filter.send(self._memory, self._time, command, self.actuation_delay)
+        self._time = self._time + self.period
+
+    def receive(self, observation: np.ndarray, info: Mapping[str, Any]) -> None:
+        """Take in what is seen (B, N) at the end of the step."""
+        assert self._memory is not None
+        self._tell_time(info)
+        age = self._age(info)
+        _, last = self._memory.newest()
+        # A sample that is seen again has told all it can.
+        time = torch.where(self._time - age > last + 1e-9, self._time, torch.nan)
+        self._memory = self._filter.receive(self._memory, time, self._measured(observation), age)
+
+    def shown(self, observation: np.ndarray) -> np.ndarray:
+        """Observations (B, N) with the estimate in the place of the newest measurement."""
+        assert self._memory is not None
+        if self.predicts:
+            belief = self._filter.estimate(self._memory, self._time, self.actuation_delay)
+        else:
+            belief, _ = self._memory.newest()
+        seen = self.task.observation(self.model, self.model.ideal_measurement(belief.mean)).numpy()
+        result = np.array(observation)
+        result[..., : self.width] = seen.astype(result.dtype)
+        return result
+
+    def _measured(self, observation: np.ndarray) -> Tensor:
+        shown = np.asarray(observation, np.float64)[:, : self.width]
+        return torch.tensor(np.array([self.task.measurement(self.model, row) for row in shown]))
+
+    def _tell_time(self, info: Mapping[str, Any]) -> None:
+        """Take the clock of the environment, which may be late for a step, in the place of a count of steps."""
+        if "time" in info:
+            own = np.broadcast_to(np.asarray(info["time"], np.float64), self.count)
+            self._time = torch.tensor(own.copy())
+
+    def _age(self, info: Mapping[str, Any]) -> Tensor:
+        age = info.get("observation_age", self.sensing_delay)
+        if isinstance(age, Mapping):  # by term: the oldest says when all of it was so
+            age = np.max([np.broadcast_to(a, self.count) for a in age.values()], 0)
+        return torch.tensor(np.broadcast_to(np.asarray(age, np.float64), self.count).copy())
+
+
+class EstimatorWrapper(gymnasium.Wrapper, RecordConstructorArgs):
+    """Shows the agent an estimate of the state in the place of the newest measurement.
+
+    An unscented filter takes in each observation at the time at which it was measured, which ``observation_age`` in
+    ``info`` says, and predicts with the actions that were sent. `DelayWrapper` and `UnitEnv` tell the age. Where
+    ``info`` has the ``time`` of a step, as in real time, that is taken, else one step after the other. What is seen
+    behind the task's own entries, such as past actions, stays.
+
+    Args:
+        env: An environment of a task of this package, or a wrapper around one.
+        estimator: ``predicted``: the state at which the next action will act; ``filtered``: that of the newest
+            measurement.
+        actuation_delay: Expected time from sending until an action acts [s]; None: what a `DelayWrapper` expects, or 0.
+        sensing_delay: Age of an observation [s] where ``info`` does not say it; None: likewise.
+        process_noise: Standard deviation of the white acceleration of each joint, times the square root of a second.
+        model: What `deepkoco.load_system` takes, for a model of other parameters; None: the system of ``env``.
+        control_rate: Steps per second [Hz]; None takes 1/dt or the ``render_fps`` of the environment.
+
+    Raises:
+        SettingsError: The environment has no task, or the estimator is unknown.
+        DelayWrapperError: The rate is not known.
+    """
+
+    def __init__(
+        self,
+        env: gymnasium.Env,
+        estimator: str = "predicted",
+        *,
+        actuation_delay: float | None = None,
+        sensing_delay: float | None = None,
+        process_noise: float = 1.0,
+        model: Any = None,
+        control_rate: float | None = None,
+    ) -> None:
+        RecordConstructorArgs.__init__(
+            self, estimator=estimator, actuation_delay=actuation_delay, sensing_delay=sensing_delay,
+            process_noise=process_noise, model=model, control_rate=control_rate,
+        )  # fmt: skip
+        gymnasium.Wrapper.__init__(self, env)
+        self._estimates = Estimates(
+            1, env, float(step_rate(env, control_rate)), estimator, actuation_delay, sensing_delay,
+            process_noise, model,
+        )  # fmt: skip
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
+        """Reset the environment; the first estimate is made of its first observation."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        self._estimates.restart(observation[None], info)
+        return self._estimates.shown(observation[None])[0], info
+
+    def step(self, action: Any):
+        """Send an action; what is seen is the estimate after it."""
+        self._estimates.send(np.asarray(action)[None])
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        self._estimates.receive(observation[None], info)
+        return self._estimates.shown(observation[None])[0], reward, terminated, truncated, info
+
+
+class VectorEstimatorWrapper(VectorWrapper, RecordConstructorArgs):
+    """:class:`EstimatorWrapper` for a vector environment: one filter for all of its environments.
+
+    Args:
+        env, estimator, **options: As there.
+
+    Raises:
+        SettingsError: The environment has no task, or the estimator is unknown.
+        DelayWrapperError: The rate is not known.
+    """
+
+    def __init__(
+        self,
+        env: VectorEnv,
+        estimator: str = "predicted",
+        *,
+        actuation_delay: float | None = None,
+        sensing_delay: float | None = None,
+        process_noise: float = 1.0,
+        model: Any = None,
+        control_rate: float | None = None,
+    ) -> None:
+        RecordConstructorArgs.__init__(
+            self, estimator=estimator, actuation_delay=actuation_delay, sensing_delay=sensing_delay,
+            process_noise=process_noise, model=model, control_rate=control_rate,
+        )  # fmt: skip
+        VectorWrapper.__init__(self, env)
+        self._estimates = Estimates(
+            env.num_envs, env, float(step_rate(env, control_rate)), estimator, actuation_delay, sensing_delay,
+            process_noise, model,
+        )  # fmt: skip
+        self._mode = env.metadata.get("autoreset_mode", AutoresetMode.NEXT_STEP)
+        self._ended = np.zeros(env.num_envs, bool)
+
+    def reset(self, *, seed: Seeds = None, options: dict[str, Any] | None = None):
+        """Reset the environments, or those in ``options["reset_mask"]``."""
+        mask = None if options is None else options.get("reset_mask")  # Gymnasium takes it out of options
+        observation, info = self.env.reset(seed=seed, options=options)  # pyright: ignore[reportArgumentType]
+        self._estimates.restart(observation, info, mask)
+        self._ended = self._ended & (False if mask is None else ~np.asarray(mask, bool))
+        return self._estimates.shown(observation), info
+
+    def step(self, actions: Any):
+        """Send the actions (B, ...); what is seen are the estimates after it."""
+        estimates = self._estimates
+        estimates.send(actions)
+        observation, reward, terminated, truncated, info = self.env.step(actions)
+        ended = np.logical_or(terminated, truncated)
+        starting = np.zeros(self.num_envs, bool)
+        if self._mode == AutoresetMode.SAME_STEP and ended.any():
+            last = np.array(observation)
+            for place in np.flatnonzero(ended):
+                last[place] = info["final_obs"][place]
+            estimates.receive(last, info.get("final_info", info))
+            final = np.empty(self.num_envs, dtype=object)
+            for place, row in enumerate(estimates.shown(last)):
+                final[place] = row if ended[place] else None
+            info, starting = {**info, "final_obs": final}, ended
+        else:
+            estimates.receive(observation, info)
+            if self._mode == AutoresetMode.NEXT_STEP:
+                starting = self._ended  # for these the step was a reset
+        if starting.any():
+            estimates.restart(observation, info, starting)
+        self._ended = ended
+        return estimates.shown(observation), reward, terminated, truncated, info
+
+
+def _attribute(env: Any, name: str) -> Any:
+    """An attribute of the environment inside; of a batch of single ones, that of the first."""
+    inside = env.unwrapped
+    if hasattr(inside, name):
+        return getattr(inside, name)
+    if isinstance(inside, gymnasium.vector.SyncVectorEnv):
+        return getattr(inside.envs[0].unwrapped, name, None)
+    batch = getattr(inside, "batch", None)
+    return getattr(batch, name, None)
+
+
+def _or(given: Any, otherwise: Any) -> Any:
+    """What is given; else what is known; else 0."""
+    return next((value for value in (given, otherwise) if value is not None), 0.0)
