@@ -1,5 +1,6 @@
 """How far another machine's clock is ahead, from stamped questions and answers."""
 
+import math
 from collections import deque
 from typing import NamedTuple
 
@@ -79,7 +80,9 @@ class OffsetEstimator:
             ClockJumpError: it contradicts the others by more than `SMALL`.
         """
         low, high = self._bounds(exchange.received)
-        own_low, own_high = exchange.far_sent - exchange.received, exchange.far_received - exchange.sent
+        wider = self._drift * (exchange.received - exchange.sent)
+        own_low = exchange.far_sent - exchange.received - wider
+        own_high = exchange.far_received - exchange.sent + wider
         gap = max(low - own_high, own_low - high)
         if gap > 0:
             self._exchanges.clear()
@@ -92,14 +95,14 @@ class OffsetEstimator:
                 )
         self._exchanges.append(exchange)
         low, high = max(low, own_low), min(high, own_high)
-        self.estimate = Offset(round((low + high) / 2), round((high - low) / 2), exchange.round_trip)
+        self.estimate = Offset(round((low + high) / 2), math.ceil((high - low) / 2), exchange.round_trip)
         return self.estimate
 
     def _bounds(self, now: int) -> tuple[float, float]:
         """What the exchanges so far leave possible now."""
         low, high = -float("inf"), float("inf")
         for one in self._exchanges:
-            wider = self._drift * (now - one.received)
+            wider = self._drift * (now - one.sent)
             low = max(low, one.far_sent - one.received - wider)
             high = min(high, one.far_received - one.sent + wider)
         return low, high
