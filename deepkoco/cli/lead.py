@@ -25,10 +25,14 @@ example, in two terminals:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `deepkoco lead`."""
-    parser.add_argument("graph", metavar="GRAPH.py", help="file with functions graph(), policy() and parameters()")
+    parser.add_argument(
+        "graph", metavar="GRAPH.py", help="file with functions graph(), policy() and parameters()"
+    )
     parser.add_argument("--to", required=True, metavar="HOST:PORT", help="address of the robot's machine")
     parser.add_argument("--seconds", type=float, default=10.0, help="length of an episode [s] (default: 10)")
-    parser.add_argument("--episodes", type=int, default=1, metavar="N", help="number of episodes (default: 1)")
+    parser.add_argument(
+        "--episodes", type=int, default=1, metavar="N", help="number of episodes (default: 1)"
+    )
     parser.add_argument("--seed", type=int, default=0, help="seed of the initial states (default: 0)")
     parser.add_argument(
         "--silence", type=float, default=60.0, metavar="MS",
@@ -76,7 +80,9 @@ def run(args: argparse.Namespace) -> int:
     except KeyboardInterrupt as interrupt:
         raise KeyboardInterrupt(f"all nodes are closed{_where(args.record)}") from interrupt
     if args.record is not None:
-        sys.stdout.write(f"{args.record}: recording of both machines; `deepkoco show {args.record}` describes it\n")
+        sys.stdout.write(
+            f"{args.record}: recording of both machines; `deepkoco show {args.record}` describes it\n"
+        )
     return 0
 
 

@@ -21,7 +21,9 @@ example:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `deepkoco merge`."""
     parser.add_argument("leader", type=Path, metavar="LEADER.mcap", help="recording of `deepkoco lead`")
-    parser.add_argument("robot", type=Path, metavar="ROBOT.mcap", help="recording of `deepkoco serve --record`")
+    parser.add_argument(
+        "robot", type=Path, metavar="ROBOT.mcap", help="recording of `deepkoco serve --record`"
+    )
     parser.add_argument("--out", required=True, type=Path, metavar="MERGED.mcap", help="recording to write")
 
 
@@ -41,7 +43,9 @@ def run(args: argparse.Namespace) -> int:
     except EpisodeFileError as error:
         raise InputError(str(error)) from error
     steps = sum(len(times) for episode in run.episodes for times in episode.t_start.values())
-    sys.stdout.write(f"{out}: {len(run.episodes)} episode{'s' * (len(run.episodes) != 1)}, {steps} steps of both\n")
+    sys.stdout.write(
+        f"{out}: {len(run.episodes)} episode{'s' * (len(run.episodes) != 1)}, {steps} steps of both\n"
+    )
     for reason in run.meta.get("left_out", ()):
         sys.stdout.write(f"left out: {reason}\n")
     return 0

@@ -11,8 +11,8 @@ from deepkoco.cli.input_error import InputError
 DESCRIPTION = """\
 Run some nodes of a graph on the machine of the robot, for a machine that leads (`deepkoco lead`). GRAPH.py has a
 function graph() that returns the graph, the same file on both machines. After each session, and when the connection
-ends, falls silent or a node fails, all nodes are closed, which leaves hardware safe, and the next connection is awaited.
-There is no password: whoever reaches the port moves the robot. Listen on 127.0.0.1 (the default) and reach it through
+ends, falls silent or a node fails, all nodes are closed, which leaves hardware safe; then the next connection is
+awaited. There is no password: whoever reaches the port moves the robot. Listen on 127.0.0.1 (the default) and reach it through
 an SSH tunnel, or on a network of your own."""
 EXAMPLE = """\
 example, in two terminals:
@@ -24,7 +24,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `deepkoco serve`."""
     parser.add_argument("graph", metavar="GRAPH.py", help="file with a function graph()")
     parser.add_argument(
-        "--nodes", required=True, metavar="A,B", help="nodes that run here; the leading machine has all others"
+        "--nodes",
+        required=True,
+        metavar="A,B",
+        help="nodes that run here; the leading machine has all others",
     )
     parser.add_argument(
         "--listen", default="127.0.0.1:7411", metavar="HOST:PORT", help="address (default: 127.0.0.1:7411)"
@@ -36,7 +39,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--record", type=Path, metavar="DIR", help="folder for one recording per session")
     parser.add_argument(
-        "--threads", default="", metavar="A,B", help="nodes that share one process (default: each has its own)"
+        "--threads",
+        default="",
+        metavar="A,B",
+        help="nodes that share one process (default: each has its own)",
     )
     parser.add_argument("--priority", type=int, metavar="N", help="real-time priority to request, 1 to 99")
     parser.add_argument("--sessions", type=int, metavar="N", help="end after this many (default: no end)")

@@ -13,7 +13,9 @@ RATE = 100.0  # Hz
 def graph() -> Graph:
     """World, sensor and agent; the world is a unit that stops its motor by itself 0.1 s after the last command."""
     unit = make_unit("rod_pendulum", heartbeat=0.1)
-    return make_graph("rod_pendulum", UnitEngine(unit=unit, world_rate=RATE), control_rate=RATE, sensing_delay=0.002)
+    return make_graph(
+        "rod_pendulum", UnitEngine(unit=unit, world_rate=RATE), control_rate=RATE, sensing_delay=0.002
+    )
 
 
 def parameters():

@@ -2,13 +2,27 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
+
+import numpy as np
 
 from deepkoco.graph.live.failure import NodeFailure
 from deepkoco.graph.live.message import Message
 
-if TYPE_CHECKING:
-    from deepkoco.graph.live.crew import Crew
+
+class Home(Protocol):
+    """What the way to another machine needs of the crew of this one."""
+
+    @property
+    def correction(self) -> np.ndarray:
+        """What all nodes here add to the clock of this machine to have that of the episode, (1,) int64 [ns]."""
+        ...
+
+    def arrive(self, message: Message) -> None:
+        """Pass on an output that has come from another machine."""
+
+    def hear(self, position: int, kind: str, payload: Any) -> None:
+        """Take what a node on another machine, or who watches the way there, has to say; as for `Seat`."""
 
 
 class Away(ABC):
@@ -23,7 +37,7 @@ class Away(ABC):
     meta: Mapping[str, Any]
 
     @abstractmethod
-    def start(self, crew: "Crew") -> None:
+    def start(self, crew: Home) -> None:
         """Connect with a crew: what comes goes to its `arrive` and `hear`."""
 
     @abstractmethod

@@ -3,7 +3,8 @@
 from deepkoco.graph.net.failure import ConnectionRefused, LinkFailure
 from deepkoco.graph.net.leader import RobotNodes, connect
 from deepkoco.graph.net.merge import merge_recordings
-from deepkoco.graph.net.robot_end import RobotEnd, RobotOptions
+from deepkoco.graph.net.robot_end import RobotEnd
+from deepkoco.graph.net.robot_options import RobotOptions
 
 __all__ = [
     "ConnectionRefused",

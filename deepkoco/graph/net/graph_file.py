@@ -1,4 +1,4 @@
-"""A file from which both ends take their graph: functions `graph`, `policy` and, where nodes need them, `parameters`."""
+"""A file from which both ends take their graph: functions `graph`, `policy` and, if nodes need it, `parameters`."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -42,7 +42,9 @@ class GraphFile:
                 return {}
             raise
         if not isinstance(made, Mapping):
-            raise OwnObjectError(f'"{self.text}": parameters() returns a {type(made).__name__}; return a dict by node')
+            raise OwnObjectError(
+                f'"{self.text}": parameters() returns a {type(made).__name__}; return a dict by node'
+            )
         return made
 
     def factories(self, names: set[str] | frozenset[str]) -> dict[str, Factory]:
@@ -61,7 +63,9 @@ def read_graph_file(text: str) -> GraphFile:
     """
     graph = _function(text, "graph")()
     if not isinstance(graph, Graph):
-        raise OwnObjectError(f'"{text}": graph() returns a {type(graph).__name__}; return a deepkoco.graph.Graph')
+        raise OwnObjectError(
+            f'"{text}": graph() returns a {type(graph).__name__}; return a deepkoco.graph.Graph'
+        )
     return GraphFile(text, graph)
 
 

@@ -6,9 +6,9 @@ import threading
 from collections.abc import Mapping
 from typing import Any
 
-from deepkoco.graph.live.away import Away
+from deepkoco.graph.live.away import Away, Home
 from deepkoco.graph.live.collection import exempt_present, include_again
-from deepkoco.graph.live.crew import FAREWELL, Crew
+from deepkoco.graph.live.crew import FAREWELL
 from deepkoco.graph.live.failure import NodeFailure
 from deepkoco.graph.live.message import Message, decode, encode
 from deepkoco.graph.model.graph import Graph
@@ -64,7 +64,7 @@ class RobotNodes(Away):
         self.graph, self.name = graph, address
         self.session = secrets.token_hex(8)
         self._address, self._silence = split_address(address), silence
-        self._crew: Crew | None = None
+        self._crew: Home | None = None
         self._failure: NodeFailure | None = None
         self._parted = threading.Event()
         self._records: dict[str, dict[str, Any]] = {}
@@ -79,7 +79,7 @@ class RobotNodes(Away):
             "robot_nodes": sorted(self.nodes),
         }
 
-    def start(self, crew: Crew) -> None:
+    def start(self, crew: Home) -> None:
         if not self.link.alive:
             self._connect()
         self._crew = crew

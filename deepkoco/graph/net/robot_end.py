@@ -4,43 +4,20 @@ import errno
 import select
 import socket
 import threading
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
+from collections.abc import Callable, Sequence
 from types import TracebackType
 
 from deepkoco.graph.live.collection import exempt_present, include_again
-from deepkoco.graph.live.crew_plan import CrewOptions, Factory
+from deepkoco.graph.live.crew_plan import CrewOptions
 from deepkoco.graph.live.wallclock import own_processes
 from deepkoco.graph.model.graph import Graph
 from deepkoco.graph.model.node import GraphError
 from deepkoco.graph.net.failure import ConnectionRefused
 from deepkoco.graph.net.greeting import hear, refuse, split_address, welcome
-from deepkoco.graph.net.link import SILENCE
+from deepkoco.graph.net.robot_options import RobotOptions
 from deepkoco.graph.net.session import Session
 
 _LOOK = 0.1  # between two looks at who else wants to connect [s]
-
-
-@dataclass(frozen=True)
-class RobotOptions:
-    """How the nodes at the robot run.
-
-    Attributes:
-        threads, factories, pin, priority, time_limit, beat_limit: as for `WallClockRuntime`.
-        silence: longest time [s] without anything from the end that leads, and beyond its period from one message to a
-            node here to the next. After it all nodes are closed, which leaves hardware safe.
-        record: folder for the recordings, one file for each session; None: none are kept here.
-    """
-
-    threads: Sequence[str] = ()
-    factories: Mapping[str, Factory] = field(default_factory=dict)
-    pin: bool = True
-    priority: int | None = None
-    time_limit: float = 1.0
-    beat_limit: float = 1.0
-    silence: float = SILENCE
-    record: Path | None = None
 
 
 class RobotEnd:

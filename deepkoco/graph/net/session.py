@@ -6,11 +6,11 @@ import threading
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from deepkoco.graph.episodes.episode import Note
 from deepkoco.graph.episodes.storage.container import EpisodeFileError
-from deepkoco.graph.live.away import Away
+from deepkoco.graph.live.away import Away, Home
 from deepkoco.graph.live.clocked import ClockedSchedule, clocked_schedule
 from deepkoco.graph.live.crew import FAREWELL, Crew
 from deepkoco.graph.live.crew_plan import CrewOptions
@@ -23,10 +23,8 @@ from deepkoco.graph.net.clock_offset import Offset, SteadyCorrection
 from deepkoco.graph.net.failure import LinkFailure
 from deepkoco.graph.net.leader import failure_tree
 from deepkoco.graph.net.link import Link
+from deepkoco.graph.net.robot_options import RobotOptions
 from deepkoco.graph.net.wire import Frame, Kind, WireError, pack, unpack
-
-if TYPE_CHECKING:
-    from deepkoco.graph.net.robot_end import RobotOptions
 
 ENOUGH = 10  # exchanges before an episode begins
 CLOCK_PATIENCE = 2.0  # what they may take [s]
@@ -52,7 +50,7 @@ class Session(Away):
         self,
         graph: Graph,
         options: CrewOptions,
-        robot: "RobotOptions",
+        robot: RobotOptions,
         connection: socket.socket,
         hello: dict[str, Any],
         number: int,
@@ -67,7 +65,7 @@ class Session(Away):
             "robot_nodes": sorted(set(graph.index) - self.nodes),
         }
         self._orders: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
-        self._crew: Crew | None = None
+        self._crew: Home | None = None
         self._clock: SteadyCorrection | None = None
         self._running = False  # an episode, so that the clock must not jump
         self._wanted = False  # the end: it was asked for
@@ -136,7 +134,7 @@ class Session(Away):
 
     # ------------------------------------------------- what the crew asks of it
 
-    def start(self, crew: Crew) -> None:
+    def start(self, crew: Home) -> None:
         self._clock = SteadyCorrection(crew.correction)
         self._crew = crew
         if self._failure is not None:

@@ -5,7 +5,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deepkoco.graph.net.clock_offset import ClockJumpError, Exchange, Offset, OffsetEstimator, SteadyCorrection
+from deepkoco.graph.net.clock_offset import (
+    ClockJumpError,
+    Exchange,
+    Offset,
+    OffsetEstimator,
+    SteadyCorrection,
+)
 
 MS = 1_000_000
 delays = st.integers(0, 50 * MS)
@@ -54,7 +60,9 @@ def test_a_slow_network_does_no_harm_after_a_fast_answer():
         there, back = (round((0.05 + rng.exponential(2.0)) * MS) for _ in range(2))
         if k % 10 == 0:
             there = back = round(0.05 * MS)
-        estimate = estimator.add(exchange(k * 20 * MS, there, back, lambda time: 5 * 10**12 + round(4e-5 * time)))
+        estimate = estimator.add(
+            exchange(k * 20 * MS, there, back, lambda time: 5 * 10**12 + round(4e-5 * time))
+        )
     truth = 5 * 10**12 + round(4e-5 * 199 * 20 * MS)
     assert abs(estimate.value - truth) < 0.1 * MS
     assert estimate.uncertainty < 0.2 * MS

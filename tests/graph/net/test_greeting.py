@@ -14,9 +14,13 @@ from deepkoco.graph.net.greeting import split_address
 
 
 def test_another_graph_is_refused_with_the_entry_that_differs(tmp_path):
-    with Serving(motor_graph(tmp_path, rate=50), ["motor"]) as serving:
-        with pytest.raises(ConnectionRefused, match=r"graph\.nodes\.motor\.rate_hz is 100 at the end that leads and 50"):
-            connect(motor_graph(tmp_path, rate=100), serving.address)
+    with (
+        Serving(motor_graph(tmp_path, rate=50), ["motor"]) as serving,
+        pytest.raises(
+            ConnectionRefused, match=r"graph\.nodes\.motor\.rate_hz is 100 at the end that leads and 50"
+        ),
+    ):
+        connect(motor_graph(tmp_path, rate=100), serving.address)
 
 
 def test_the_leader_needs_no_driver_of_the_robot(tmp_path):
@@ -49,7 +53,9 @@ def test_another_protocol_is_named(tmp_path):
         client = socket.create_connection(listener.getsockname())
         server, _ = listener.accept()
         server.sendall(greeting.GREETING.pack(greeting.MAGIC, 7) + bytes(5))
-        with pytest.raises(ConnectionRefused, match="speaks protocol 7, .* install the same version on both"):
+        with pytest.raises(
+            ConnectionRefused, match=r"speaks protocol 7, .* install the same version on both"
+        ):
             greeting._next(client)
         client.close()
         server.close()
@@ -67,11 +73,13 @@ def test_a_stranger_is_sent_away_and_the_robot_waits_on(tmp_path):
 
 
 def test_a_second_leader_is_refused_while_a_session_runs(tmp_path):
-    with Serving(motor_graph(tmp_path), ["motor"]) as serving:
-        with leading(motor_graph(tmp_path), serving.address) as runtime:
-            runtime.reset({}, torch.Generator())
-            with pytest.raises(ConnectionRefused, match="another machine leads this robot already"):
-                connect(motor_graph(tmp_path), serving.address)
+    with (
+        Serving(motor_graph(tmp_path), ["motor"]) as serving,
+        leading(motor_graph(tmp_path), serving.address) as runtime,
+    ):
+        runtime.reset({}, torch.Generator())
+        with pytest.raises(ConnectionRefused, match="another machine leads this robot already"):
+            connect(motor_graph(tmp_path), serving.address)
 
 
 def test_nobody_there_and_a_port_in_use_say_what_to_do(tmp_path):
@@ -86,14 +94,23 @@ def test_nobody_there_and_a_port_in_use_say_what_to_do(tmp_path):
 
 def test_the_supervisor_and_unknown_nodes_do_not_run_at_the_robot(tmp_path):
     graph = motor_graph(tmp_path)
-    for nodes, words in ((["agent"], "stays at the end that leads"), (["arm"], "is no node"), ([], "no node is to")):
+    for nodes, words in (
+        (["agent"], "stays at the end that leads"),
+        (["arm"], "is no node"),
+        ([], "no node is to"),
+    ):
         with pytest.raises(GraphError, match=words):
             RobotEnd(graph, nodes, "127.0.0.1:0")
 
 
 @pytest.mark.parametrize(
     ("text", "address"),
-    [("robot:9", ("robot", 9)), ("robot", ("robot", 7411)), ("[::1]:9", ("::1", 9)), ("[::1]", ("::1", 7411))],
+    [
+        ("robot:9", ("robot", 9)),
+        ("robot", ("robot", 7411)),
+        ("[::1]:9", ("::1", 9)),
+        ("[::1]", ("::1", 7411)),
+    ],
 )
 def test_addresses(text, address):
     assert split_address(text) == address

@@ -55,7 +55,9 @@ def test_parameters_and_draws_reach_the_robot_as_in_one_process(tmp_path):
     class Draws(type(motor_graph(tmp_path).node("motor"))):
         def init(self, parameters, generator, batch):
             super().init(parameters, generator, batch)
-            return {"start": parameters["gain"] * torch.rand(batch, 1, generator=generator, dtype=torch.float64)}
+            return {
+                "start": parameters["gain"] * torch.rand(batch, 1, generator=generator, dtype=torch.float64)
+            }
 
         def step(self, parameters, state, inputs):
             return state, state["start"]
@@ -94,16 +96,15 @@ def test_the_recording_is_whole_and_so_is_the_merged_one(tmp_path):
 
 @on_time
 def test_a_cut_cable_leaves_the_motor_safe_within_100_ms_and_both_records_merge(tmp_path):
-    graph, steps = motor_graph(tmp_path), 0
+    graph = motor_graph(tmp_path)
     serving = Serving(motor_graph(tmp_path), ["motor"], silence=0.06, record=tmp_path / "robot")
     with serving, Cable(serving.address) as cable:
         runtime = leading(graph, cable.address, 0.06, record=tmp_path / "leader.mcap")
-        state, inputs = runtime.reset({}, torch.Generator())
+        runtime.reset({}, torch.Generator())
+        runtime.run(push, 20)
+        cable.cut()
         with pytest.raises(NodeFailure, match="the other end has been silent for"):
-            while True:
-                if (steps := steps + 1) == 20:
-                    cable.cut()
-                state, inputs = runtime.step(state, push(inputs))
+            runtime.run(push, 1000)
         serving.thread.join()
         assert marks(tmp_path, "close")[0] - cable.cut_at < 0.1
     assert "nodes closed within" in serving.said[-1]
@@ -159,13 +160,14 @@ def test_nothing_moves_again_by_itself_and_a_new_reset_connects_anew(tmp_path):
 
 def test_a_node_that_fails_at_the_robot_is_named_at_the_other_end(tmp_path):
     graph = motor_graph(tmp_path)
-    with Serving(motor_graph(tmp_path, fault_at=4), ["motor"]) as serving:
-        with leading(graph, serving.address) as runtime:
-            runtime.reset({}, torch.Generator())
-            with pytest.raises(NodeFailure, match=r'node "motor" at its tick 4: \(at .*encoder cable is off') as caught:
-                runtime.run(push, 1000)
-            assert "ValueError" in caught.value.details
-            episode = runtime.finish()  # the robot has sent its record when it parted
+    named = r'node "motor" at its tick 4: \(at .*encoder cable is off'
+    robot = Serving(motor_graph(tmp_path, fault_at=4), ["motor"])
+    with robot as serving, leading(graph, serving.address) as runtime:
+        runtime.reset({}, torch.Generator())
+        with pytest.raises(NodeFailure, match=named) as caught:
+            runtime.run(push, 1000)
+        assert "ValueError" in caught.value.details
+        episode = runtime.finish()  # the robot has sent its record when it parted
     assert len(episode.outputs["motor"]) == 4
     assert "encoder cable is off" in episode.failure
 

@@ -79,7 +79,12 @@ class Serving:
 
     def __init__(self, graph, nodes, sessions=1, **options):
         self.said: list[str] = []
-        options = {"threads": tuple(nodes), "silence": AMPLE, "time_limit": AMPLE, "beat_limit": AMPLE} | options
+        options = {
+            "threads": tuple(nodes),
+            "silence": AMPLE,
+            "time_limit": AMPLE,
+            "beat_limit": AMPLE,
+        } | options
         self.end = RobotEnd(graph, nodes, "127.0.0.1:0", RobotOptions(**options), self.said.append)
         self.address = self.end.address
         self.thread = threading.Thread(target=self.end.serve, args=(sessions,), daemon=True)
@@ -95,7 +100,7 @@ class Serving:
 
 
 class Cable:
-    """A relay on 127.0.0.1 that passes everything on until it is cut; then nothing more comes, and nothing is closed."""
+    """A relay on 127.0.0.1 that passes everything on until it is cut; then nothing comes, and nothing is closed."""
 
     def __init__(self, address):
         host, port = address.split(":")
