@@ -12,8 +12,8 @@ DESCRIPTION = """\
 Run some nodes of a graph on the machine of the robot, for a machine that leads (`deepkoco lead`). GRAPH.py has a
 function graph() that returns the graph, the same file on both machines. After each session, and when the connection
 ends, falls silent or a node fails, all nodes are closed, which leaves hardware safe; then the next connection is
-awaited. There is no password: whoever reaches the port moves the robot. Listen on 127.0.0.1 (the default) and reach it through
-an SSH tunnel, or on a network of your own."""
+awaited. There is no password: whoever reaches the port moves the robot. Listen on 127.0.0.1 (the default) and reach it
+through an SSH tunnel, or on a network of your own."""
 EXAMPLE = """\
 example, in two terminals:
   deepkoco serve docs/examples/two_machines.py --nodes world,sensor --record robot
