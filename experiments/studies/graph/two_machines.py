@@ -475,7 +475,7 @@ comes or the connection of the motor's process ends. SIGSTOP leaves the connecti
 does.
 {before} run(s) had stopped by themselves before the kill, by the limit of 60 ms, and were repeated.
 
-| killed | signal | zero command after the kill [ms] | after the last command that the motor handed on [ms] | load average |
+| killed | signal | zero command after the kill [ms] | after the motor's last [ms] | load average |
 |---|---|---|---|---|
 {killed}
 
