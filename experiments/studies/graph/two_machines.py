@@ -141,7 +141,8 @@ def long_run(
     with serving(RUN, "world,sensor", folder) as (address, _, ahead):
 
         def look(inputs: Any) -> torch.Tensor:
-            watched.corrections.append((time.monotonic() - began, *away.link.far_correction))
+            correction, uncertainty = away.link.far_correction
+            watched.corrections.append((time.monotonic() - began, correction, uncertainty))
             return policy(inputs)
 
         while left > 0:
