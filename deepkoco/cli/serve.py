@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
+import threading
 from pathlib import Path
 
 from deepkoco.cli.input_error import InputError
@@ -77,6 +79,8 @@ def run(args: argparse.Namespace) -> int:
             record=args.record,
         )
         with RobotEnd(file.graph, nodes, args.listen, options, _say) as end:
+            if threading.current_thread() is threading.main_thread():
+                signal.signal(signal.SIGTERM, lambda *_: end.close())  # how a service manager ends it
             end.serve(args.sessions)
     except (OwnObjectError, GraphError, ConnectionRefused) as error:
         raise InputError(str(error)) from error

@@ -123,6 +123,8 @@ class Seat(Thread):
                 self._drive(self.driver, None)
             elif order.command == "end" and self.driver is not None:
                 self._drive(self.driver, order.payload)
+                with self._busy(self.driver.tick):
+                    runner.node.rest()
                 self._reply(self.position, "end", self.driver.log())
 
     def _reset(self, runner: Runner, payload: Mapping[str, Any]) -> dict[str, Any]:

@@ -127,6 +127,8 @@ class Link:
             reason = str(error)
         except WireError as error:
             reason = f"the other end sends what is no frame of this protocol ({error})"
+        except (ConnectionResetError, BrokenPipeError):
+            reason = None  # it was closed with something unread
         except OSError as error:
             reason = f"the connection is broken ({error.strerror or error})"
         except Exception as error:

@@ -97,7 +97,7 @@ class RosReader(Node):
 
 
 class RosWriter(Node):
-    """Sends each command that it sees on a topic; closed, it sends zeros.
+    """Sends each command that it sees on a topic; after an episode and when it is closed it sends zeros.
 
     Where its process is killed nothing more comes on the topic: what drives the motors must stop them by itself then.
 
@@ -140,11 +140,15 @@ class RosWriter(Node):
         self._make = _message_class(self.kind)
         self._ros.advertise(self.topic, self._make)
 
+    def rest(self) -> None:
+        assert self._ros is not None
+        self._ros.send(with_numbers(self._make(), self.entries, np.zeros(self.size)))
+
     def close(self) -> None:
-        ros, self._ros = self._ros, None
-        if ros is not None:
-            ros.send(with_numbers(self._make(), self.entries, np.zeros(self.size)))
-            ros.close()
+        if self._ros is not None:
+            self.rest()
+            self._ros.close()
+            self._ros = None
 
     def initial_output(self, parameters: Parameters, state: State, batch: int) -> Tensor:
         return torch.zeros(batch, self.size, dtype=torch.float64)

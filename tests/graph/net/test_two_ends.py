@@ -41,6 +41,18 @@ def test_a_run_over_two_ends_replays_bitwise_wherever_the_cut_goes(robot):
     assert_replays(graph, episode)
 
 
+def test_the_motor_rests_after_an_episode_and_moves_in_the_next(tmp_path):
+    graph = motor_graph(tmp_path)
+    with Serving(motor_graph(tmp_path), ["motor"]) as serving, leading(graph, serving.address) as runtime:
+        for number in range(2):
+            runtime.reset({}, torch.Generator())
+            runtime.run(push, 3)
+            assert len(marks(tmp_path, "rest")) == number
+            runtime.finish()
+            assert len(marks(tmp_path, "rest")) == number + 1
+    assert len(marks(tmp_path, "open")) == len(marks(tmp_path, "close")) == 1
+
+
 def test_nodes_in_processes_of_both_ends_run_too(tmp_path):
     graph = loop()
     with Serving(loop(), ["world", "actuator"], threads=()) as serving:

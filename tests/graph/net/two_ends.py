@@ -45,6 +45,9 @@ class Motor(Node):
         self.ticks += 1
         return state, command.clone()
 
+    def rest(self):
+        self._mark("rest")
+
     def close(self):
         self._mark("close")
 
@@ -134,7 +137,10 @@ class Cable:
                 elif self.cut_at is not None:
                     time.sleep(0.001)
                 elif source in pairs:
-                    data = source.recv(1 << 16)
+                    try:
+                        data = source.recv(1 << 16)
+                    except OSError:
+                        data = b""
                     with contextlib.suppress(OSError):
                         pairs[source].sendall(data) if data else pairs[source].shutdown(socket.SHUT_WR)
                     if not data:
