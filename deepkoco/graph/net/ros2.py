@@ -222,9 +222,9 @@ class _Ros:
 
     def __init__(self, name: str) -> None:
         try:
-            import rclpy
-            from rclpy.executors import SingleThreadedExecutor
-            from rclpy.signals import SignalHandlerOptions
+            import rclpy  # pyright: ignore[reportMissingImports]
+            from rclpy.executors import SingleThreadedExecutor  # pyright: ignore[reportMissingImports]
+            from rclpy.signals import SignalHandlerOptions  # pyright: ignore[reportMissingImports]
         except ImportError as error:
             raise RosError(
                 f"ROS 2 needs the library rclpy ({error}); source the set-up of your ROS 2, or "
@@ -241,7 +241,7 @@ class _Ros:
         self._thread.start()
 
     def subscribe(self, topic: str, kind: Any, take: Any) -> None:
-        from rclpy.qos import qos_profile_sensor_data
+        from rclpy.qos import qos_profile_sensor_data  # pyright: ignore[reportMissingImports]
 
         self._node.create_subscription(kind, topic, take, qos_profile_sensor_data)
 

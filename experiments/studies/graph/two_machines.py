@@ -300,20 +300,19 @@ def study(arguments: argparse.Namespace) -> tuple[list[Picture], str]:
             rows.append(row | {"load_average": load()})
         rows.append(row)
         print(row, flush=True)
-    kills = pd.DataFrame(rows)
     with tempfile.TemporaryDirectory() as place:
         processor = os.times()
         graph, episodes, sessions, watched, ahead = long_run(arguments.seconds, Path(place))
         used = sum(os.times()[:4]) - sum(processor[:4])
     nodes, messages = tables(graph, episodes)
     clocks = clock_table(watched, ahead)
-    stops = pd.DataFrame([{"session": k, "ended": reason} for k, (reason, _) in enumerate(sessions)])
+    stops = [reason for reason, _ in sessions]
     pictures = [
-        Picture("clocks", _draw(clocks), clocks[:: max(1, len(clocks) // 3000)]),
-        Picture("kills", _draw_kills(kills), kills),
+        Picture("clocks", _draw(clocks), clocks.iloc[:: max(1, len(clocks) // 3000), :]),
+        Picture("kills", _draw_kills(rows), pd.DataFrame(rows)),
     ]
     drifted = drifting_offset(watched.exchanges, ahead)
-    text = report(arguments, nodes, messages, clocks, stops, kills, drifted, watched, ahead, used)
+    text = report(arguments, nodes, messages, clocks, stops, rows, drifted, watched, ahead, used)
     return pictures, text
 
 
@@ -384,19 +383,19 @@ def _draw(clocks: pd.DataFrame) -> Any:
     return figure
 
 
-def _draw_kills(kills: pd.DataFrame) -> Any:
+def _draw_kills(kills: list[dict[str, Any]]) -> Any:
     from matplotlib.figure import Figure
 
     from deepkoco.graph.drawing.style import PALETTE, figure_style
 
-    kept = kills[~kills.stopped_before.astype(bool)]
+    kept = [row for row in kills if not row["stopped_before"]]
+    names = list(dict.fromkeys(f"{row['killed']}, {row['signal']}" for row in kept))
     with figure_style():
         figure = Figure(figsize=(6, 3.0))
         axes = figure.subplots()
-        for colour, (name, part) in zip(
-            PALETTE, kept.groupby(["killed", "signal"], sort=False), strict=False
-        ):
-            axes.plot(part.zero_after_kill_ms, [f"{name[0]}, {name[1]}"] * len(part), "o", color=colour)
+        for colour, name in zip(PALETTE, names, strict=False):
+            times = [row["zero_after_kill_ms"] for row in kept if f"{row['killed']}, {row['signal']}" == name]
+            axes.plot(times, [name] * len(times), "o", color=colour)
         axes.axvline(100.0, color="0.6", lw=0.8)
         axes.set(xlabel="from the kill to zero command [ms]", xlim=(0, None))
     return figure
@@ -407,8 +406,8 @@ def report(
     nodes: list[dict[str, Any]],
     messages: list[dict[str, Any]],
     clocks: pd.DataFrame,
-    stops: pd.DataFrame,
-    kills: pd.DataFrame,
+    stops: list[str],
+    kills: list[dict[str, Any]],
     drifted: np.ndarray,
     watched: Watched,
     ahead: int,
@@ -424,13 +423,13 @@ def report(
         f"| {r['max']:.2f} |"
         for r in messages
     )
-    kept = kills[~kills.stopped_before.astype(bool)]
+    kept = [row for row in kills if not row["stopped_before"]]
     killed = "\n".join(
         f"| {r['killed']} | {r['signal']} | {r['zero_after_kill_ms']:.1f} | {r['zero_after_last_command_ms']:.1f} "
         f"| {r['load_average']:.1f} |"
-        for r in kept.to_dict("records")
+        for r in kept
     )
-    ended = "\n".join(f"- session {r['session']}: {r['ended']}" for r in stops.to_dict("records"))
+    ended = "\n".join(f"- session {k}: {reason}" for k, reason in enumerate(stops))
     error, uncertain = clocks.error_ms.abs(), clocks.uncertainty_ms
     moved = np.abs(drifted[:, 0]) / 1e6
     day = (
@@ -438,7 +437,7 @@ def report(
         if ahead
         else "the leader's own (no time namespace permitted)"
     )
-    before = int(kills.stopped_before.astype(bool).sum())
+    before = len(kills) - len(kept)
     return f"""# Two machines at 100 Hz
 
 `python -m experiments.studies.graph.two_machines --seconds {arguments.seconds:g} --kills {arguments.kills} \
