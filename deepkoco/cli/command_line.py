@@ -50,6 +50,9 @@ COMMANDS = {
     "sweep": ("deepkoco.cli.sweep", "train for all combinations of seeds and settings"),
     "aggregate": ("deepkoco.cli.aggregate", "learning curves and final costs of many runs"),
     "trial": ("deepkoco.cli.trial", "run trained policies on a unit and compare their costs"),
+    "serve": ("deepkoco.cli.serve", "run the nodes at a robot for another machine that leads"),
+    "lead": ("deepkoco.cli.lead", "run a graph with a robot on another machine"),
+    "merge": ("deepkoco.cli.merge", "put the recordings of two machines together"),
     "show": (
         "deepkoco.cli.show",
         "show the contents of a recording of a graph, or analyse a trained model",

@@ -97,6 +97,9 @@ class UnitWorld(Node):
     def open(self) -> None:
         self._unit = CLOCKS[self.clock](self.spec).__enter__()
 
+    def rest(self) -> None:
+        self._running.send(0.0)
+
     def close(self) -> None:
         unit, self._unit = self._unit, None
         if unit is not None:

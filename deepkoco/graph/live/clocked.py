@@ -29,6 +29,7 @@ class ClockedInput:
         window, skip, blocking, fifo: as in the connection.
         phase, rate: of the sender [s, Hz].
         age: expected age of a message on arrival if it is to be buffered until then [s], else None.
+        silence: longest time from one message to the next [ns], after which the node must not run on; None: any.
     """
 
     window: int
@@ -38,6 +39,7 @@ class ClockedInput:
     phase: Fraction
     rate: Fraction
     age: Fraction | None
+    silence: int | None = None
 
     @classmethod
     def of(cls, graph: Graph, connection: Connection) -> "ClockedInput":
@@ -103,6 +105,10 @@ def clocked_schedule(graph: Graph, name: str, simulate_delays: bool, seed: int) 
     )
 
 
+class SilentInputError(RuntimeError):
+    """Messages of an input that must not stop have stopped."""
+
+
 class _Queue:
     """Messages of one input that have come and were not taken yet, and the window of those that were."""
 
@@ -112,12 +118,18 @@ class _Queue:
         self.window = [(seq, -1, -1) for seq in range(-rule.window, 0)]
         self.awaited = 0  # next message of a blocking input
         self.last = 0  # arrival of the last message [ns]
+        self.heard = False  # whether there was one
 
     def arrive(self, message: Message, now: int) -> int:
         received = max(now, message.due, self.last if self.rule.fifo else 0)
-        self.last = received
+        self.last, self.heard = received, True
         self.waiting[message.seq] = message.t_sent, received
         return received
+
+    @property
+    def expires(self) -> int | None:
+        """When the silence is too long [ns]; None where it never is. Before the first message nothing is awaited."""
+        return self.last + self.rule.silence if self.heard and self.rule.silence is not None else None
 
     def there(self, seq: int, now: int) -> bool:
         received = self.waiting[seq][1]
@@ -191,11 +203,13 @@ class ClockedDriver(Driver):
             now = self._absorb()
             if until is not None or self.inbox.ordered():
                 return None
+            expires = self._check_silence(now)
             arrival = self._arrival(awaited)
             if arrival is None:
-                self.inbox.wait()
-            elif now < max(earliest, arrival):
-                self.inbox.wait(self._instant(max(earliest, arrival)), messages=False)
+                self.inbox.wait(None if expires is None else self._instant(expires))
+            elif now < (start := max(earliest, arrival)):
+                wake = start if expires is None else min(start, expires)
+                self.inbox.wait(self._instant(wake), messages=False)
             else:
                 break
         windows = []
@@ -264,7 +278,7 @@ class ClockedDriver(Driver):
 
     def _time(self, instant: int) -> int:
         """Turn an instant [ns, monotonic] into a time of the episode [ns]."""
-        passed = instant - self.origin
+        passed = instant + self._ahead() - self.origin
         return passed if self.factor == 1.0 else math.floor(passed * self.factor)
 
     def _absorb(self) -> int:
@@ -275,6 +289,27 @@ class ClockedDriver(Driver):
             self._received[place].append((message.seq, message.t_sent, received))
             self.runner.put(place, message.seq, message.data)
         return self._time(instant)
+
+    def _check_silence(self, now: int) -> int | None:
+        """Return when the first of the inputs that must not stop will have been silent for too long [ns].
+
+        Raises:
+            SilentInputError: one has been.
+        """
+        ends = [
+            (queue.expires, place) for place, queue in enumerate(self._queues) if queue.expires is not None
+        ]
+        if not ends:
+            return None
+        expires, place = min(ends)
+        if now > expires:
+            queue = self._queues[place]
+            assert queue.rule.silence is not None
+            raise SilentInputError(
+                f"{self.runner.inputs[place].key}: no message for {(now - queue.last) / 1e6:.0f} ms, and "
+                f"{queue.rule.silence / 1e6:.0f} ms is the limit"
+            )
+        return expires
 
     def _arrival(self, awaited: list[int | None]) -> int | None:
         """Return when all awaited messages are there [ns], as far as it is known; None where one has not come."""

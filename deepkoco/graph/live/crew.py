@@ -15,11 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from deepkoco.graph.live.crew_plan import HERE, CrewOptions, CrewPlan
+from deepkoco.graph.live.away import Away
+from deepkoco.graph.live.crew_plan import AWAY, HERE, CrewOptions, CrewPlan
 from deepkoco.graph.live.failure import NodeFailure, failure_of
 from deepkoco.graph.live.host import BEAT_PERIOD, HostPlan, Line, close_seats, make_seats, serve
 from deepkoco.graph.live.inbox import Inbox, Order
-from deepkoco.graph.live.message import decode
+from deepkoco.graph.live.message import Message, decode
 from deepkoco.graph.live.seat import BEAT, BUSY_SINCE, CLOSED_AT, TICK, Seat, step_limit
 from deepkoco.graph.model.graph import Graph
 
@@ -32,13 +33,14 @@ class Crew:
     Args:
         graph: nodes and connections; the supervisor stays with the caller.
         options: where the nodes live and when they have failed.
+        away: the way to those on another machine; None: there are none.
 
     Raises:
         GraphError: a node does not travel to its process.
     """
 
-    def __init__(self, graph: Graph, options: CrewOptions) -> None:
-        self.graph, self.options = graph, options
+    def __init__(self, graph: Graph, options: CrewOptions, away: Away | None = None) -> None:
+        self.graph, self.options, self._away = graph, options, away
         self._plan = CrewPlan(graph, options)
         self.hosts = self._plan.hosts
         self.supervisor_inbox = Inbox()
@@ -52,12 +54,17 @@ class Crew:
         self._failures: queue.SimpleQueue[NodeFailure] = queue.SimpleQueue()
         self._heard, self._bell = pipe_pair(False)
         self._start(self._plan.host_plans())
+        if away is not None:
+            away.start(self)
         atexit.register(self.stop)  # a caller who forgets to close must not leave a motor running
 
     def tell(self, name: str, command: str, payload: Any = None) -> None:
         """Give a node an order."""
         position, host = self.graph.index[name], self.hosts[name]
-        if host != HERE:
+        if host == AWAY:
+            assert self._away is not None
+            self._away.tell(position, command, payload)
+        elif host != HERE:
             self._controls[host].tell(position, command, payload)
         elif command == "credit":
             self.seats[position].inbox.grant(payload)
@@ -93,11 +100,32 @@ class Crew:
             host = self.hosts[connection.receiver]
             if connection.receiver == self.graph.supervisor:
                 ways.append((edge, self.supervisor_inbox.deliver))
+            elif host == AWAY:
+                assert self._away is not None
+                ways.append((edge, self._away.send))
             elif host == HERE:
                 ways.append((edge, self.seats[self._plan.receivers[edge]].inbox.deliver))
             else:
                 ways.append((edge, self._lines[host].send))
         return ways
+
+    @property
+    def correction(self) -> np.ndarray:
+        """What all nodes here add to the clock of this machine to have that of the episode, (1,) int64 [ns]."""
+        return self._board[-1, :1]
+
+    def arrive(self, message: Message) -> None:
+        """Pass on an output that has come from another machine."""
+        receiver = self._plan.receivers[message.edge]
+        host = self.hosts[self.graph.nodes[receiver].name]
+        if host > HERE:
+            self._lines[host].send(message)
+        elif host == HERE:
+            self._deliver(message)
+
+    def hear(self, position: int, kind: str, payload: Any) -> None:
+        """Take what a node on another machine, or who watches the way there, has to say; as for `Seat`."""
+        self._reply(position, kind, payload)
 
     def fail(self, failure: NodeFailure) -> None:
         """Note the first failure, order the supervisor to stop, then stop all others."""
@@ -128,6 +156,8 @@ class Crew:
     def _stop(self) -> None:
         for line in self._controls.values():
             line.tell(-1, "stop", None)
+        if self._away is not None:
+            self._away.stop(self.failure)
         close_seats(self.seats)
         atexit.unregister(self.stop)
         if current_thread() is not self._watch:
@@ -137,6 +167,8 @@ class Crew:
         self._bury()
         for thread in self._post:
             thread.join(FAREWELL)
+        if self._away is not None:
+            self._away.farewell(self.records)
         lines = (*self._controls.values(), *self._lines.values())
         for pipe in (self._heard, self._bell, *(line.pipe for line in lines)):
             pipe.close()
@@ -146,7 +178,7 @@ class Crew:
         """Note when each node was closed after a failure, and which was not."""
         for name in self.hosts:
             row = self._board[self.graph.index[name]]
-            if name == self.graph.supervisor:
+            if name == self.graph.supervisor or self.hosts[name] == AWAY:
                 continue
             if closed := int(row[CLOSED_AT]):
                 if self.failure is not None:
@@ -196,7 +228,7 @@ class Crew:
         # A server that has the package loaded forks the processes: quick, and without the caller's threads.
         context: Any = get_context("forkserver" if "forkserver" in get_all_start_methods() else "spawn")
         context.set_forkserver_preload(["deepkoco.graph.live.host"])
-        shape = len(self.graph.nodes), 4
+        shape = len(self.graph.nodes) + 1, 4  # a row for each node, and one for the clock
         board = context.RawArray("q", shape[0] * shape[1])
         self._board = np.frombuffer(board, dtype=np.int64).reshape(shape)
         ends: dict[int, dict[int, Pipe]] = {host: {} for host in (HERE, *remote)}
@@ -226,6 +258,10 @@ class Crew:
         supervisor = self.graph.index[self.graph.supervisor]
         if HERE in plans:
             others = {supervisor: self.supervisor_inbox.deliver}
+            if self._away is not None:
+                others |= dict.fromkeys(
+                    (self.graph.index[name] for name in self._away.nodes), self._away.send
+                )
             self.seats = make_seats(
                 plans[HERE].seats, self._plan.own_node, HERE, self._lines, self._board, self._reply, others
             )
@@ -288,7 +324,7 @@ class Crew:
         try:
             while not self._stopped:
                 if pipe.poll(BEAT_PERIOD):
-                    self._deliver(pipe.recv_bytes())
+                    self._deliver(decode(pipe.recv_bytes()))
         except (EOFError, OSError):
             return  # of the end of a process the watch knows
         except Exception as error:
@@ -313,9 +349,13 @@ class Crew:
             return False
         return True
 
-    def _deliver(self, frame: bytes) -> None:
-        message = decode(frame)
-        seat = self.seats.get(self._plan.receivers[message.edge])
+    def _deliver(self, message: Message) -> None:
+        receiver = self._plan.receivers[message.edge]
+        if self.hosts[self.graph.nodes[receiver].name] == AWAY:
+            assert self._away is not None
+            self._away.send(message)
+            return
+        seat = self.seats.get(receiver)
         (self.supervisor_inbox if seat is None else seat.inbox).deliver(message)
 
     def _mourn(self, host: int) -> None:

@@ -10,6 +10,7 @@ from deepkoco.graph.model.node import GraphError, Node
 
 Factory = Callable[[], Node]
 HERE = 0  # host number of the caller's own process
+AWAY = -1  # host number of another machine
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,7 @@ class CrewOptions:
         cores: by number of the process, the core it is pinned to.
         priority: real-time priority that the processes ask for; None: none.
         report: the processes send what their nodes record while they run.
+        away: nodes that live on another machine.
     """
 
     hosts: Mapping[str, int]
@@ -33,6 +35,7 @@ class CrewOptions:
     cores: Mapping[int, int] = field(default_factory=dict)
     priority: int | None = None
     report: bool = False
+    away: frozenset[str] = frozenset()
 
     def check(self, graph: Graph) -> None:
         """Check that those with a place of their own are nodes other than the supervisor.
@@ -61,7 +64,10 @@ class CrewPlan:
 
     def __init__(self, graph: Graph, options: CrewOptions) -> None:
         self.graph, self.options = graph, options
-        self.hosts = {node.name: options.hosts.get(node.name, HERE) for node in graph.nodes}
+        self.hosts = {
+            node.name: AWAY if node.name in options.away else options.hosts.get(node.name, HERE)
+            for node in graph.nodes
+        }
         self.receivers = tuple(graph.index[c.receiver] for c in graph.connections)
 
     def host_plans(self) -> dict[int, HostPlan]:
@@ -73,12 +79,12 @@ class CrewPlan:
         graph = self.graph
         plans: dict[int, list[SeatPlan]] = {}
         for position, node in enumerate(graph.nodes):
-            if node.name == graph.supervisor:
+            if node.name == graph.supervisor or self.hosts[node.name] == AWAY:
                 continue
             places = input_places(graph, node.name)
             host = self.hosts[node.name]
             outlets = tuple(
-                (e, self.hosts[c.receiver], graph.index[c.receiver])
+                (e, self._way_to(c.receiver), graph.index[c.receiver])
                 for e, c in enumerate(graph.connections)
                 if c.sender == node.name
             )
@@ -102,10 +108,14 @@ class CrewPlan:
         """Hosts between which messages go."""
         pairs = set()
         for connection in self.graph.connections:
-            ends = self.hosts[connection.sender], self.hosts[connection.receiver]
+            ends = self._way_to(connection.sender), self._way_to(connection.receiver)
             if ends[0] != ends[1]:
                 pairs.add((min(ends), max(ends)))
         return pairs
+
+    def _way_to(self, name: str) -> int:
+        """The host that a message for a node goes to; the caller's process has the connection to the other machine."""
+        return HERE if self.hosts[name] == AWAY else self.hosts[name]
 
     def own_node(self, plan: SeatPlan) -> Node:
         """The node of a seat in the caller's process."""

@@ -41,6 +41,8 @@ class Driver(ABC):
         origin: instant of time 0 [ns, monotonic].
         factor: simulated seconds per second; infinity does not wait for the clock.
         record: keep the outputs.
+        correction: what is added to the own clock to have that of the episode, as its first entry [ns]: the machine
+            that leads may be another one. None: its own.
     """
 
     def __init__(
@@ -52,7 +54,9 @@ class Driver(ABC):
         origin: int,
         factor: float,
         record: bool,
+        correction: np.ndarray | None = None,
     ) -> None:
+        self._correction = correction
         self.runner, self.inbox, self.places, self.outlets = runner, inbox, places, outlets
         self.origin, self.factor, self.record = origin, factor, record
         self.episode = inbox.episode
@@ -93,7 +97,11 @@ class Driver(ABC):
 
     def _instant(self, time: float) -> int:
         """Turn a time of the episode [ns] into an instant [ns, monotonic]."""
-        return self.origin + math.ceil(time / self.factor)
+        return self.origin + math.ceil(time / self.factor) - self._ahead()
+
+    def _ahead(self) -> int:
+        """How far the clock of the episode is ahead of this machine's [ns]."""
+        return 0 if self._correction is None else int(self._correction[0])
 
 
 class PlannedDriver(Driver):

@@ -16,6 +16,7 @@ from deepkoco.graph.model.graph import Graph
 from deepkoco.graph.model.node import State
 
 HEAD_START = 10_000_000  # from the order to go to time 0 [ns]
+FAR_HEAD_START = 100_000_000  # more of it where the order goes over a network [ns]
 
 
 def reset_nodes(
@@ -69,9 +70,14 @@ def received_outputs(graph: Graph, outputs: Mapping[str, np.ndarray]) -> dict[st
     return {node.name: [outputs[c.sender] for c in graph.inputs_of(node.name)] for node in graph.nodes}
 
 
-def start_instant(factor: float) -> int:
-    """Time 0 of an episode on the monotonic clock [ns]; at once where time is not that of the clock."""
-    return time.monotonic_ns() + (0 if factor == math.inf else HEAD_START)
+def start_instant(factor: float, more: int = 0) -> int:
+    """Time 0 of an episode on the monotonic clock [ns]; at once where time is not that of the clock.
+
+    Args:
+        factor: simulated seconds per second.
+        more: head start beyond the usual one [ns].
+    """
+    return time.monotonic_ns() + (0 if factor == math.inf else HEAD_START + more)
 
 
 def _arrays(tensors: Mapping[str, Tensor]) -> dict[str, np.ndarray]:

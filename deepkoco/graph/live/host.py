@@ -1,5 +1,6 @@
 """A process that hosts nodes: it passes on what comes, shows that it lives, and closes its nodes at the end."""
 
+import gc
 import os
 import pickle
 import signal
@@ -105,9 +106,10 @@ def make_seats(
         make: gives a node, in its own thread.
         host: number of this host.
         lines: by number of the host, the way there.
-        board: as for `Seat`.
+        board: as for `Seat`, with one row more, whose first entry is the correction of the clock (see `Driver`).
         reply: as for `Seat`.
-        others: by number of the node, receivers of this host that are no seats (the supervisor).
+        others: by number of the node, receivers of this host that are no seats: the supervisor, and nodes on another
+            machine.
     """
     outlets: dict[int, list[Outlet]] = {plan.position: [] for plan in plans}
     seats = {}
@@ -122,6 +124,7 @@ def make_seats(
             board,
             reply,
             plan.time_limit,
+            board[-1],
         )
     deliver = {position: seat.inbox.deliver for position, seat in seats.items()} | dict(others or {})
     for plan in plans:
@@ -159,6 +162,7 @@ def serve(
     ended: list[int] = []
     signal.signal(signal.SIGTERM, lambda number, _: ended.append(number))
     torch.set_num_threads(1)
+    gc.freeze()  # a full collection of what the fork brought would hold the nodes up for 0.1 s
     if plan.core is not None and hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {plan.core})
     answers = Line(control)

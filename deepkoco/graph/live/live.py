@@ -15,11 +15,13 @@ from torch import Tensor
 from deepkoco.graph.episodes.episode import Episode
 from deepkoco.graph.episodes.storage.container import EpisodeFileError
 from deepkoco.graph.execution.runtime import NodeParameters
+from deepkoco.graph.live.away import Away
 from deepkoco.graph.live.crew import Crew
 from deepkoco.graph.live.crew_plan import CrewOptions, input_places
 from deepkoco.graph.live.driver import Driver, Outlet
-from deepkoco.graph.live.episode_start import received_outputs, reset_nodes, start_instant
+from deepkoco.graph.live.episode_start import FAR_HEAD_START, received_outputs, reset_nodes, start_instant
 from deepkoco.graph.live.failure import Ending, NodeFailure, failure_of
+from deepkoco.graph.live.measured import part_of_episode
 from deepkoco.graph.live.plan import Plan
 from deepkoco.graph.live.recorder import Record, Recorder
 from deepkoco.graph.live.runner import Runner
@@ -40,18 +42,23 @@ class LiveRuntime(ABC):
         options: where the nodes live and when they have failed.
         factor: simulated seconds per second.
         record: as for `Recorder`; True: keep all outputs for `finish` only; False: keep none.
+        away: the way to the nodes on another machine; None: there are none.
 
     Raises:
         GraphError: a name is no node.
         EpisodeFileError: the recording cannot be written there.
     """
 
-    def __init__(self, graph: Graph, options: CrewOptions, factor: float, record: Record) -> None:
+    def __init__(
+        self, graph: Graph, options: CrewOptions, factor: float, record: Record, away: Away | None = None
+    ) -> None:
         options.check(graph)
+        self._away = away
         if not factor > 0:
             raise ValueError(f"real-time factor {factor} is not positive")
         self.graph = graph
-        self._recorder = None if isinstance(record, bool) else Recorder(graph, record)
+        meta = None if away is None else away.meta
+        self._recorder = None if isinstance(record, bool) else Recorder(graph, record, meta)
         self._options = replace(options, report=self._recorder is not None)
         self._factor, self._record = factor, record is not False
         self._plan: Plan | None = None  # of the episode; None: the clock decides
@@ -122,7 +129,7 @@ class LiveRuntime(ABC):
         self._plan_episode(timing, row)
         with Stopping(self._stop_after):
             if self._crew is None:
-                self._crew = Crew(self.graph, self._options)
+                self._crew = Crew(self.graph, self._options, self._away)
                 # A caller who forgets to close wants the file all the same, and must hear of a failure.
                 atexit.register(self.close)
                 if self._recorder is not None:
@@ -237,7 +244,7 @@ class LiveRuntime(ABC):
             try:
                 episode = None if running is None else self._salvaged_episode()
             except ValueError:  # what the nodes have reported is all there is
-                episode = None
+                episode = None if self._away is None else self._own_part()
             try:
                 self._recorder.close(episode, self._ending)
             except EpisodeFileError as unwritten:
@@ -253,6 +260,13 @@ class LiveRuntime(ABC):
         if lost:
             raise ValueError(f'the record of "{lost[0]}" is lost with its process')
         episode = self._episode_of(self._begun, self._salvaged)
+        return episode if self._ending is None else self._ending.mark(episode)
+
+    def _own_part(self) -> Episode | None:
+        """What the nodes of this machine have run, where the record of the others stayed on theirs."""
+        if self._salvaged is None:
+            return None
+        episode = part_of_episode(self.graph, self._salvaged)
         return episode if self._ending is None else self._ending.mark(episode)
 
     def _drivers(self, crew: Crew) -> list[tuple[int, Driver | None]]:
@@ -291,15 +305,15 @@ class LiveRuntime(ABC):
         supervisor = self.graph.supervisor
         runner = Runner(self.graph.node(supervisor), self.graph.inputs_of(supervisor))
         outputs = reset_nodes(crew, runner, self._episode, parameters, generator, initial)
-        origin = start_instant(self._factor)
-        common = {"origin": origin, "factor": self._factor, "record": self._record}
+        origin = start_instant(self._factor, 0 if self._away is None else FAR_HEAD_START)
+        origin_ns = time.time_ns() + origin - time.monotonic_ns() if self._factor == 1.0 else None
+        common = {"origin": origin, "origin_ns": origin_ns, "factor": self._factor, "record": self._record}
         payloads: dict[str, dict[str, Any]] = {
             name: common | {"initial_outputs": seen} | self._part(name)
             for name, seen in received_outputs(self.graph, outputs).items()
         }
         if self._recorder is not None:
             parts = {name: payload["part"] for name, payload in payloads.items()}
-            origin_ns = time.time_ns() + origin - time.monotonic_ns() if self._factor == 1.0 else None
             self._recorder.begin(self._episode, self._plan, parts, origin_ns)
         for name in self._others:
             crew.tell(name, "go", payloads[name])

@@ -55,6 +55,38 @@ def measured_episode(graph: Graph, logs: Mapping[str, Mapping[str, Any]]) -> Epi
     return replace(episode, notes=_notes(graph, episode))
 
 
+def part_of_episode(graph: Graph, logs: Mapping[str, Mapping[str, Any]]) -> Episode:
+    """Put the records of some of the nodes together, as far as they go; the others have no steps.
+
+    Args:
+        graph: what ran.
+        logs: as for `measured_episode`, of the nodes whose records there are.
+
+    Returns:
+        All steps that ended, and of the connections into these nodes the messages that came, up to the first that
+        did not.
+    """
+    none = np.zeros(0)
+    t_start, t_end = {node.name: none for node in graph.nodes}, {node.name: none for node in graph.nodes}
+    sent, received = {c.key: none for c in graph.connections}, {c.key: none for c in graph.connections}
+    outputs, windows = {}, {c.key: np.zeros((0, c.window), np.int32) for c in graph.connections}
+    for name, log in logs.items():
+        ended, begun = len(log["t_end"]), len(log["t_start"])
+        # Of the supervisor the last step only starts.
+        kept = begun if name == graph.supervisor else ended
+        t_start[name] = log["t_start"][:kept] / 1e9
+        t_end[name] = np.concatenate([log["t_end"], log["t_start"][ended:]])[:kept] / 1e9
+        if ended:
+            outputs[name] = log["outputs"][:ended]
+        for place, connection in enumerate(graph.inputs_of(name)):
+            seq, t_sent, t_received = log["received"][place][np.argsort(log["received"][place][:, 0])].T
+            whole = int((seq == np.arange(len(seq))).sum())
+            sent[connection.key] = t_sent[:whole] / 1e9
+            received[connection.key] = t_received[:whole] / 1e9
+            windows[connection.key] = log["windows"][place][:kept]
+    return Episode(t_start, t_end, outputs, sent, received, windows)
+
+
 def _notes(graph: Graph, episode: Episode) -> tuple[Note, ...]:
     """Remark on what went wrong: overruns by node, lost messages by connection."""
     notes = []

@@ -33,13 +33,16 @@ class Recorder:
     Args:
         graph: what runs.
         target: file to write (`.mcap`), or the writer to feed, which stays open.
+        meta: JSON object about the recording, for a file of its own.
 
     Raises:
         EpisodeFileError: the file cannot be written there, or the writer is one for another graph.
     """
 
-    def __init__(self, graph: Graph, target: str | Path | EpisodeWriter) -> None:
-        self._graph, self._target = graph, target
+    def __init__(
+        self, graph: Graph, target: str | Path | EpisodeWriter, meta: Mapping[str, Any] | None = None
+    ) -> None:
+        self._graph, self._target, self._meta = graph, target, meta
         if not isinstance(target, EpisodeWriter):
             check_target(Path(target))
         elif target.graph is not graph:
@@ -62,7 +65,7 @@ class Recorder:
         if self._writer is None:
             target = self._target
             own = not isinstance(target, EpisodeWriter)
-            self._writer = EpisodeWriter(target, self._graph) if own else target
+            self._writer = EpisodeWriter(target, self._graph, self._meta) if own else target
 
     def listen(self, reports: Sequence[Pipe], drivers: Drivers) -> None:
         """Start the thread.

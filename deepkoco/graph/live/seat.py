@@ -36,6 +36,7 @@ class Seat(Thread):
         board: (N, 4) int64, shared with who watches; see the constants above.
         reply: takes (position, kind, payload): "reset", "end", "failed" and "unclosed" with a `NodeFailure`, "closed".
         time_limit: longest step [s].
+        correction: as for `Driver`, shared with who keeps it.
     """
 
     def __init__(
@@ -49,8 +50,10 @@ class Seat(Thread):
         board: np.ndarray,
         reply: Callable[[int, str, Any], None],
         time_limit: float,
+        correction: np.ndarray | None = None,
     ) -> None:
         super().__init__(name=f"node {name}", daemon=True)
+        self._correction = correction
         self.position, self.node_name, self._time_limit = position, name, time_limit
         self._make, self._inputs, self._places = make, inputs, places
         self._outlets, self._board, self._reply = outlets, board[position], reply
@@ -114,10 +117,14 @@ class Seat(Thread):
                 self.driver = None
                 self._reply(self.position, "reset", self._reset(runner, order.payload))
             elif order.command == "go":
-                self.driver = make_driver(runner, self.inbox, self._places, self._outlets, order.payload)
+                self.driver = make_driver(
+                    runner, self.inbox, self._places, self._outlets, order.payload, self._correction
+                )
                 self._drive(self.driver, None)
             elif order.command == "end" and self.driver is not None:
                 self._drive(self.driver, order.payload)
+                with self._busy(self.driver.tick):
+                    runner.node.rest()
                 self._reply(self.position, "end", self.driver.log())
 
     def _reset(self, runner: Runner, payload: Mapping[str, Any]) -> dict[str, Any]:
@@ -178,11 +185,17 @@ def reset_runner(runner: Runner, payload: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def make_driver(
-    runner: Runner, inbox: Inbox, places: dict[int, int], outlets: list[Outlet], payload: Mapping[str, Any]
+    runner: Runner,
+    inbox: Inbox,
+    places: dict[int, int],
+    outlets: list[Outlet],
+    payload: Mapping[str, Any],
+    correction: np.ndarray | None = None,
 ) -> Driver:
     """Make the driver of an episode from what "go" says."""
     runner.begin([torch.from_numpy(np.array(output)) for output in payload["initial_outputs"]])
-    common = runner, inbox, places, outlets, payload["origin"], payload["factor"], payload["record"]
+    times = payload["origin"], payload["factor"], payload["record"], correction
+    common = runner, inbox, places, outlets, *times
     part = payload["part"]
     if isinstance(part, ClockedSchedule):
         return ClockedDriver(*common, schedule=part)

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from deepkoco.graph.episodes.episode import Episode
+from deepkoco.graph.live.away import Away
 from deepkoco.graph.live.clocked import clocked_schedule
 from deepkoco.graph.live.crew_plan import HERE, CrewOptions, Factory
 from deepkoco.graph.live.live import LiveRuntime
@@ -12,6 +13,31 @@ from deepkoco.graph.live.measured import measured_episode
 from deepkoco.graph.live.recorder import Record
 from deepkoco.graph.model.graph import Graph
 from deepkoco.graph.timing.computation_graph import ComputationGraph
+
+
+def own_processes(
+    graph: Graph, threads: Sequence[str], away: frozenset[str], pin: bool
+) -> tuple[dict[str, int], dict[int, int]]:
+    """Give each node a process of its own.
+
+    Args:
+        graph: nodes and connections.
+        threads: nodes that stay in the caller's process.
+        away: nodes that live on another machine.
+        pin: whether each process is pinned to a core, the allowed ones in turn.
+
+    Returns:
+        By node name, number of its process; by number of the process, its core.
+    """
+    hosts = {name: HERE for name in threads}
+    for node in graph.nodes:
+        if node.name != graph.supervisor and node.name not in hosts and node.name not in away:
+            hosts[node.name] = len(set(hosts.values()) - {HERE}) + 1
+    cores = {}
+    if pin and hasattr(os, "sched_getaffinity"):
+        allowed = sorted(os.sched_getaffinity(0))
+        cores = {host: allowed[host % len(allowed)] for host in set(hosts.values()) - {HERE}}
+    return hosts, cores
 
 
 class WallClockRuntime(LiveRuntime):
@@ -46,6 +72,7 @@ class WallClockRuntime(LiveRuntime):
         beat_limit: longest time without a heartbeat of a process [s].
         record: keep all outputs for `finish`. A path (`.mcap`) or an `EpisodeWriter`: besides write them down
             while the nodes run, an episode for each reset; the file of a path is finished by `close`.
+        away: the way to nodes on another machine (`deepkoco.graph.net.connect`); None: all are here.
 
     Raises:
         GraphError: a name is no node; a node does not travel.
@@ -63,17 +90,12 @@ class WallClockRuntime(LiveRuntime):
         time_limit: float = 1.0,
         beat_limit: float = 1.0,
         record: Record = True,
+        away: Away | None = None,
     ) -> None:
-        hosts = {name: HERE for name in threads}
-        for node in graph.nodes:
-            if node.name != graph.supervisor and node.name not in hosts:
-                hosts[node.name] = len(set(hosts.values()) - {HERE}) + 1
-        cores = {}
-        if pin and hasattr(os, "sched_getaffinity"):
-            allowed = sorted(os.sched_getaffinity(0))
-            cores = {host: allowed[host % len(allowed)] for host in set(hosts.values()) - {HERE}}
-        options = CrewOptions(hosts, factories or {}, time_limit, beat_limit, cores, priority)
-        super().__init__(graph, options, 1.0, record)
+        elsewhere = frozenset() if away is None else away.nodes
+        hosts, cores = own_processes(graph, threads, elsewhere, pin)
+        options = CrewOptions(hosts, factories or {}, time_limit, beat_limit, cores, priority, away=elsewhere)
+        super().__init__(graph, options, 1.0, record, away)
 
     @property
     def priority_granted(self) -> bool:

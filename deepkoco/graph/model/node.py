@@ -127,6 +127,12 @@ class Node(ABC):
     def open(self) -> None:  # noqa: B027 - most nodes have nothing to acquire
         """Acquire what `step` needs beyond its arguments, in the thread or process that will step."""
 
+    def rest(self) -> None:  # noqa: B027
+        """Leave hardware at rest after an episode, open for the next one; nothing steps until then.
+
+        The concurrent and the wall-clock runtime call it.
+        """
+
     def close(self) -> None:  # noqa: B027
         """Release it and leave hardware safe; called once after `open`, also when a node has failed."""
 

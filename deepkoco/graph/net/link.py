@@ -1,0 +1,197 @@
+"""The link: a connection that shows that it lives, knows the other clock, and never makes a sender wait."""
+
+import select
+import socket
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from deepkoco.graph.net.clock_offset import ClockJumpError, Exchange, Offset, OffsetEstimator
+from deepkoco.graph.net.wire import PING, PONG, Frame, FrameReader, Kind, Ping, Pong, WireError, frame
+
+BEAT_PERIOD = 0.02  # from one sign of life to the next [s]
+SILENCE = 0.06
+"""Longest time without anything from the other end [s]; what has to be safe within 100 ms needs the rest to stop."""
+_MOST = 1 << 16  # bytes taken from the socket at once
+
+
+@dataclass
+class LinkCounts:
+    """What went over a link.
+
+    Attributes:
+        frames_sent, frames_received: of all kinds.
+        bytes_sent, bytes_received: with their heads.
+        longest_silence: [s].
+    """
+
+    frames_sent: int = 0
+    frames_received: int = 0
+    bytes_sent: int = 0
+    bytes_received: int = 0
+    longest_silence: float = 0.0
+
+
+class Link:
+    """One end of the connection, served by a thread of its own.
+
+    What is sent goes out at once as far as the system takes it, and the rest when it can. A network that takes nothing
+    for as long as `silence` has failed like one that brings nothing.
+
+    Args:
+        connection: connected, after the greeting.
+        take: is given what comes, other than signs of life, in the link's thread.
+        lost: is told once why the link has ended, unless `close` ended it.
+        silence: longest time without anything from the other end [s].
+        clock: own time [ns, monotonic].
+        exchanged: is given each estimate of the other clock, with the own time [ns].
+        known: correction and uncertainty [ns] of this end's clock, for the other end; None: this end leads.
+    """
+
+    def __init__(
+        self,
+        connection: socket.socket,
+        take: Callable[[Frame], None],
+        lost: Callable[[str], None],
+        silence: float = SILENCE,
+        clock: Callable[[], int] = time.monotonic_ns,
+        exchanged: Callable[[Offset, int], None] | None = None,
+        known: Callable[[], tuple[int, int]] | None = None,
+    ) -> None:
+        connection.setblocking(False)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self.counts, self.offsets = LinkCounts(), OffsetEstimator()
+        self.far_correction = (0, 0)
+        """What the other end says of its clock: correction and uncertainty [ns]."""
+        self.exchanges: list[Exchange] | None = None
+        """Where it is a list, all exchanges are kept in it."""
+        self._connection, self._take, self._lost = connection, take, lost
+        self._silence, self._clock, self._exchanged, self._known = silence, clock, exchanged, known
+        self._reader, self._pending, self._lock = FrameReader(), bytearray(), threading.Lock()
+        self._taken = clock()  # when the system last took all or some of what was pending [ns]
+        self._closed = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="link", daemon=True)
+
+    def start(self) -> None:
+        """Begin to listen and to show that this end lives."""
+        self._thread.start()
+
+    @property
+    def alive(self) -> bool:
+        """Whether it has neither failed nor been closed."""
+        return not self._closed.is_set()
+
+    def send(self, kind: Kind, body: bytes) -> None:
+        """Send a frame; where the link has ended it goes nowhere."""
+        whole = frame(kind, body)
+        with self._lock:
+            if self._closed.is_set():
+                return
+            if not self._pending:
+                self._taken = self._clock()
+            self._pending += whole
+            self.counts.frames_sent += 1
+            self._flush()
+
+    def close(self, patience: float = 0.0) -> None:
+        """End the link; safe to call twice.
+
+        Args:
+            patience: how long what is pending may take to go out [s].
+        """
+        until = self._clock() + patience * 1e9
+        while self._pending and not self._closed.is_set() and self._clock() < until:
+            time.sleep(0.001)
+        self._closed.set()
+        if threading.current_thread() is not self._thread and self._thread.ident is not None:
+            self._thread.join()
+        with self._lock:
+            self._connection.close()
+
+    def _flush(self) -> None:
+        """Give the system what it takes; of a connection that is broken the reading side hears."""
+        try:
+            while self._pending:
+                sent = self._connection.send(self._pending)
+                del self._pending[:sent]
+                self.counts.bytes_sent += sent
+                self._taken = self._clock()
+        except OSError:
+            return
+
+    def _run(self) -> None:
+        try:
+            reason = self._serve()
+        except ClockJumpError as error:
+            reason = str(error)
+        except WireError as error:
+            reason = f"the other end sends what is no frame of this protocol ({error})"
+        except (ConnectionResetError, BrokenPipeError):
+            reason = None  # it was closed with something unread
+        except OSError as error:
+            reason = f"the connection is broken ({error.strerror or error})"
+        except Exception as error:
+            reason = f"{type(error).__name__}: {error}"
+        if not self._closed.is_set():
+            self._closed.set()
+            self._lost(reason or "the connection was closed by the other end")
+
+    def _serve(self) -> str | None:
+        """Listen until the end; return why it ended, None where the other end has closed."""
+        heard = beat = self._clock()
+        silence = round(self._silence * 1e9)
+        while not self._closed.is_set():
+            now = self._clock()
+            if now >= beat:
+                self._ping(now)
+                beat = now + round(BEAT_PERIOD * 1e9)
+            wait = max(0.0, (min(beat, heard + silence) - now) / 1e9)
+            writing = [self._connection] if self._pending else []
+            readable, writable, _ = select.select([self._connection], writing, [], wait)
+            if writable:
+                with self._lock:
+                    self._flush()
+            if not readable and self._clock() > heard + silence:
+                # It may be this end that slept: look before another is blamed.
+                readable, _, _ = select.select([self._connection], [], [], 0.0)
+                if not readable:
+                    return f"the other end has been silent for {self._since(heard)} ms"
+            if readable:
+                if not (data := self._connection.recv(_MOST)):
+                    return None
+                now = self._clock()
+                self.counts.longest_silence = max(self.counts.longest_silence, (now - heard) / 1e9)
+                heard = now
+                self.counts.bytes_received += len(data)
+                for one in self._reader.feed(data):
+                    self.counts.frames_received += 1
+                    self._sort(one, now)
+            elif self._pending and self._clock() > self._taken + silence:
+                return f"the network has taken nothing for {self._since(self._taken)} ms"
+        return None
+
+    def _since(self, instant: int) -> int:
+        return round((self._clock() - instant) / 1e6)
+
+    def _sort(self, one: Frame, now: int) -> None:
+        if one.kind == Kind.PING and len(one.body) == PING.size:
+            ping = Ping(*PING.unpack(one.body))
+            self.far_correction = ping.correction, ping.uncertainty
+            self.send(Kind.PONG, PONG.pack(ping.sent, now, self._clock()))
+        elif one.kind == Kind.PONG and len(one.body) == PONG.size:
+            pong = Pong(*PONG.unpack(one.body))
+            exchange = Exchange(*pong, now)
+            if self.exchanges is not None:
+                self.exchanges.append(exchange)
+            estimate = self.offsets.add(exchange)
+            if self._exchanged is not None:
+                self._exchanged(estimate, now)
+        elif one.kind in (Kind.PING, Kind.PONG):
+            raise WireError(f"{Kind(one.kind).name} of {len(one.body)} bytes")
+        else:
+            self._take(one)
+
+    def _ping(self, now: int) -> None:
+        correction, uncertainty = (0, 0) if self._known is None else self._known()
+        self.send(Kind.PING, PING.pack(self._clock(), correction, uncertainty))

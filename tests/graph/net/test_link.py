@@ -1,0 +1,97 @@
+"""The link: what it tells of its end, and that it never makes a sender wait."""
+
+import queue
+import socket
+import time
+
+import pytest
+from two_ends import AMPLE
+
+from deepkoco.graph.net.link import Link
+from deepkoco.graph.net.wire import Kind, frame
+
+
+class End:
+    """One end of a pair, with what it was told."""
+
+    def __init__(self, connection, **options):
+        self.frames, self.reasons = queue.SimpleQueue(), queue.SimpleQueue()
+        self.link = Link(connection, self.frames.put, self.reasons.put, **{"silence": AMPLE, **options})
+        self.link.start()
+
+
+def pair():
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        client = socket.create_connection(listener.getsockname())
+        server, _ = listener.accept()
+    return client, server
+
+
+def test_what_is_sent_comes_in_order_also_where_it_is_more_than_the_system_takes_at_once():
+    one, other = map(End, pair())
+    began = time.monotonic()
+    for number in range(50):
+        one.link.send(Kind.MESSAGE, bytes([number]) * 1_000_000)
+    assert time.monotonic() - began < AMPLE
+    for number in range(50):
+        came = other.frames.get(timeout=AMPLE)
+        assert came.body == bytes([number]) * 1_000_000
+    one.link.close()
+    other.link.close()
+    assert other.link.counts.bytes_received > 50_000_000
+
+
+def test_each_end_learns_how_far_the_other_clock_is_ahead():
+    client, server = pair()
+    one, other = End(client), End(server, clock=lambda: time.monotonic_ns() + 5 * 10**12)
+    until = time.monotonic() + AMPLE
+    while min(end.link.offsets.count for end in (one, other)) < 5 and time.monotonic() < until:
+        time.sleep(0.01)
+    for end, ahead in ((one, 5 * 10**12), (other, -5 * 10**12)):
+        estimate = end.link.offsets.estimate
+        assert abs(estimate.value - ahead) <= estimate.uncertainty
+        end.link.close()
+
+
+def test_a_clock_that_jumps_ends_the_link_and_is_named():
+    client, server = pair()
+    jump = [0]
+    one, other = End(client), End(server, clock=lambda: time.monotonic_ns() + jump[0])
+    while one.link.offsets.count < 5:
+        time.sleep(0.01)
+    # Forward only: backward the other end would wait for its own clock.
+    jump[0] = 10**12
+    reasons = [end.reasons.get(timeout=AMPLE) for end in (one, other)]
+    assert any("one of them has jumped" in reason or "silent" in reason for reason in reasons)
+    one.link.close()
+    other.link.close()
+
+
+def test_the_other_end_that_closes_is_told_once_and_own_closing_is_not():
+    one, other = map(End, pair())
+    one.link.close()
+    assert other.reasons.get(timeout=AMPLE) == "the connection was closed by the other end"
+    assert not other.link.alive
+    other.link.send(Kind.MESSAGE, b"goes nowhere")
+    other.link.close()
+    assert other.reasons.empty()
+    assert one.reasons.empty()
+
+
+def test_silence_ends_the_link():
+    client, server = pair()
+    one = End(client, silence=0.2)
+    reason = one.reasons.get(timeout=AMPLE)
+    assert reason.startswith("the other end has been silent for ")
+    server.close()
+    one.link.close()
+
+
+@pytest.mark.parametrize("wrong", [b"GET / HTTP/1.1\r\n", frame(Kind.PING, b"short")])
+def test_what_is_no_frame_ends_the_link(wrong):
+    client, server = pair()
+    one = End(client)
+    server.sendall(wrong)
+    assert "sends what is no frame of this protocol" in one.reasons.get(timeout=AMPLE)
+    server.close()
+    one.link.close()
