@@ -120,7 +120,7 @@ class TrainingConfig:
     half of these (`fitted_horizon`); off: as given, as published."""
     weight_penalty: float = 1e-14
     """alpha_2, weight of the squared parameters (L2), biases included; the published term excludes biases."""
-    input_shrinkage: float = 1.0
+    input_shrinkage: float = 0.0
     """What a step of Adam takes from weights of entries of the observation that the cost does not call for, in step
     sizes (`InputShrinkage`); 0: nothing, as published."""
     largest_gradient: float = 10.0
