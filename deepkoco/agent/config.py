@@ -24,6 +24,7 @@ OLDER_SETTINGS = {
     "scale": False,
     "measure_action_cost": False,
     "relative_cost": 0.0,
+    "input_shrinkage": 0.0,
     "largest_gradient": 0.0,
     "noise_unit": "action",
     "noise_floor": 1.0,
@@ -119,6 +120,9 @@ class TrainingConfig:
     half of these (`fitted_horizon`); off: as given, as published."""
     weight_penalty: float = 1e-14
     """alpha_2, weight of the squared parameters (L2), biases included; the published term excludes biases."""
+    input_shrinkage: float = 0.0
+    """What a step of Adam takes from weights of entries of the observation that the cost does not call for, in step
+    sizes (`InputShrinkage`); 0: nothing, as published."""
     largest_gradient: float = 10.0
     """Norm that the gradient of an update is cut to; 0 for no limit, as published."""
     averaging: float = 0.998
@@ -174,6 +178,7 @@ class TrainingConfig:
             "noise_variance",
             "cost_weight",
             "weight_penalty",
+            "input_shrinkage",
         ):
             if not getattr(self, name) >= 0:
                 raise TrainingConfigError(f"{name} = {getattr(self, name)}; give 0 or more")

@@ -10,6 +10,7 @@ import torch
 from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from deepkoco.agent.config import TrainingConfig
+from deepkoco.agent.input_shrinkage import InputShrinkage
 from deepkoco.koopman.losses import ChunkBatch, Losses, chunk_losses
 from deepkoco.koopman.model.model import KoopmanModel
 from deepkoco.koopman.model.rollout import ROLLOUTS
@@ -37,6 +38,7 @@ class Learner:
         self._config = config
         # Made on the CPU, so that a seed gives the same weights on every device.
         self.model = KoopmanModel(observation, action_size, config.model).to(config.device)
+        self._shrinkage = InputShrinkage(self.model, config.input_shrinkage)
         self.averaged = copy.deepcopy(self.model).requires_grad_(False)
         self._followed, self._own = (tuple(m.parameters()) for m in (self.model, self.averaged))
         self._average = get_ema_multi_avg_fn(config.averaging)
@@ -81,6 +83,7 @@ class Learner:
         ):
             group["lr"] = rate * step_size
         self._optimiser.step()
+        self._shrinkage.step(config.learning_rate * step_size)
         self._average(self._own, self._followed, 0)  # the count is for averages with equal weights
         return losses
 

@@ -109,6 +109,24 @@ def test_an_action_that_changes_within_a_step_counts_by_its_share():
     np.testing.assert_allclose(means[:, 0], [0.25 * 1 + 0.75 * 3, 0.5 * 3 - 0.5 * 1, -1.0])
 
 
+def test_an_action_that_changes_between_steps_is_held_over_whole_ones():
+    # 1 for two steps, 3 for one; -1 begins at the end and 5 was replaced at once.
+    means = step_means(3, 3.0, np.array([2.0, 2.0, 3.0]), np.array([[1.0], [5.0], [3.0], [-1.0]]))
+    assert means[:, 0].tolist() == [1.0, 1.0, 3.0]
+
+
+@pytest.mark.parametrize("widths", [(), (5,), (5, 7)])
+def test_a_prediction_is_the_sum_of_its_changes(widths):
+    rng, sizes = np.random.default_rng(0), (5, *widths, 3)
+    layers = zip(sizes[1:], sizes[:-1], strict=True)
+    forward = ForwardModel(tuple((rng.normal(size=(a, b)), rng.normal(size=a)) for a, b in layers), STEP)
+    x, actions = rng.normal(size=3), rng.normal(size=(2, 2))
+    predicted = forward.predict(x, 2.25, np.array([1.5]), actions)
+    for action, part in ((actions[0], 1.0), (actions.mean(0), 1.0), (actions[1], 0.25)):
+        x = x + part * forward.change(x, action)
+    np.testing.assert_allclose(predicted, x, atol=1e-12)
+
+
 def test_the_observation_is_predicted_and_then_encoded_with_the_last_action(model):
     forward = ForwardModel(
         ((np.zeros((1, 4)), np.zeros(1)), (np.zeros((3, 1)), np.array([0.1, 0.2, 0.3]))), STEP

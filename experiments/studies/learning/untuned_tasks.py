@@ -85,6 +85,7 @@ VARIANTS = {
     "no_scale": ["agent.scale=false"],
     "equal_errors": ["agent.relative_cost=0"],
     "last_weights": ["agent.keep=last"],
+    "input_shrinkage": ["agent.input_shrinkage=1"],
 }
 """Settings by name: as published, the defaults, and the defaults with one switch off."""
 PROCESSOR_SECONDS = "processor_seconds.txt"
