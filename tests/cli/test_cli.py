@@ -195,8 +195,8 @@ def test_systems_lists_names_units_and_bounds(capsys):
     assert main(["systems", "--json"]) == 0
     described = {s["name"]: s for s in json.loads(capsys.readouterr().out)}
     assert set(described) == {
-        "double_pendulum", "furuta_pendulum", "pendulum", "quadrotor", "quadrotor_height", "rod_pendulum", "servo_pendulum",
-        "torque_pendulum", "two_link_arm",
+        "double_pendulum", "furuta_pendulum", "pendulum", "quadrotor", "quadrotor_height", "rod_pendulum",
+        "servo_pendulum", "torque_pendulum", "two_link_arm",
     }  # fmt: skip
     arm = [c["name"] for c in described["two_link_arm"]["channels"] if c["kind"] == "command"]
     assert arm == ["torque_1", "torque_2"]

@@ -37,6 +37,21 @@ def test_scattered_stamps_are_found_for_jitter():
     assert found["scattered_stamps"] > 1.0
 
 
+def test_stamps_that_were_moved_to_even_times_are_told_with_their_scatter():
+    log = unit({})
+    late = np.random.default_rng(5).normal(0.0, 4e-4, len(log.channels["theta"]))
+    scattered = {
+        name: replace(series, t=series.t + late) if len(series) == len(late) and name != "torque" else series
+        for name, series in log.channels.items()
+    }
+    windows = cut_windows([replace(log, channels=scattered)], SYSTEM, 1.6)
+    assert windows.taken_out == pytest.approx((4e-4,) * len(SYSTEM.measurements), rel=0.05)
+    found = told(replace(log, channels=scattered))
+    assert set(found) == {"moved_stamps"}
+    assert found["moved_stamps"] == pytest.approx(4.0, rel=0.05)
+    assert cut_windows([log], SYSTEM, 1.6).taken_out == ()
+
+
 def test_value_grid_reports_its_step():
     assert told(unit({"quantisation(theta)": {"step": 0.01}})) == {"value_grid": pytest.approx(3.0, rel=0.3)}
     assert told(unit({"quantisation(theta)": {"step": 0.0005}})) == {}

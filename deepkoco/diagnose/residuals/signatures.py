@@ -12,7 +12,7 @@ import numpy as np
 
 from deepkoco.diagnose.diagnosis import Evidence
 from deepkoco.diagnose.residuals.residuals import dispersion
-from deepkoco.diagnose.residuals.scatter import residual_and_slope
+from deepkoco.diagnose.residuals.scatter import USUAL_JITTER, residual_and_slope
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit
 from deepkoco.logs.quantum import quantum_of
@@ -39,7 +39,12 @@ def signatures(system: System, windows: Windows, fit: Fit) -> tuple[Evidence, ..
             # Repeated readings are older than their stamps. Their errors also grow with the rate, even if the stamps
             # are regular, so scattered stamps are not tested then.
             scattered = scattered_stamps(windows, fit, c, channel.name) if repeated is None else None
-            found += [scattered, repeated, value_grid(windows, c, channel.name, channel.unit)]
+            found += [
+                moved_stamps(windows, c, channel.name),
+                scattered,
+                repeated,
+                value_grid(windows, c, channel.name, channel.unit),
+            ]
     return tuple(e for e in found if e is not None)
 
 
@@ -57,6 +62,18 @@ def scattered_stamps(windows: Windows, fit: Fit, index: int, name: str) -> Evide
         f"{found:.2f}; chance stays within {limit:.2f}), and neighbouring errors are not correlated."
     )
     return Evidence("scattered_stamps", found, limit, text)
+
+
+def moved_stamps(windows: Windows, index: int, name: str) -> Evidence | None:
+    """Say that stamps scattered about even times, at which the motion shows that the samples were taken."""
+    scatter = windows.taken_out[index] if windows.taken_out else 0.0
+    if not scatter > USUAL_JITTER:
+        return None
+    text = (
+        f"The time stamps of {name} scatter by {1e3 * scatter:.2g} ms. Its motion is smooth only at even times, so the log "
+        "was read at these, and no cause has to explain the scatter. Stamp samples where they are taken."
+    )
+    return Evidence("moved_stamps", scatter, USUAL_JITTER, text)
 
 
 def repeated_readings(windows: Windows, index: int, name: str) -> Evidence | None:

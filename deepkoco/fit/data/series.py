@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -115,3 +116,31 @@ def channel_series(
     held = {name: command.hold(t) for name, command in zip(names, logged, strict=True)}
     columns = [held.get(command.name, np.full(len(t), command.default)) for command in system.commands]
     return CommandSeries(t, np.column_stack(columns)), series
+
+
+def scatter_taken_out(
+    recordings: Sequence[Recording],
+    series: Sequence[Mapping[str, tuple[np.ndarray, np.ndarray]]],
+    names: Sequence[str],
+) -> tuple[float, ...]:
+    """Standard deviation of logged stamps about the times that `channel_series` gives in their place [s].
+
+    Args:
+        recordings: The logs.
+        series: Measurements of each, as `channel_series` gives them.
+        names: Channels.
+
+    Returns:
+        One for each channel; 0 where no log has it, or all its stamps are as logged. Empty if all are 0.
+    """
+    found = []
+    for name in names:
+        moves = [
+            recording.channels[name].t - own[name][0]
+            for recording, own in zip(recordings, series, strict=True)
+            # Differenced speeds have moved by half a sample, and are one sample shorter.
+            if name in own and len(own[name][0]) == len(recording.channels[name].t)
+        ]
+        moves = [late - late.mean() for late in moves if late.any()]
+        found.append(float(np.concatenate(moves).std()) if moves else 0.0)
+    return tuple(found) if any(found) else ()

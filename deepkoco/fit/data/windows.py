@@ -13,7 +13,7 @@ from torch import Tensor
 from deepkoco.fit.data.noise import Noise, estimate_noise, rates
 from deepkoco.fit.data.per_log_differences import Known, known_of
 from deepkoco.fit.data.rest import resting_stamps
-from deepkoco.fit.data.series import CommandSeries, channel_series
+from deepkoco.fit.data.series import CommandSeries, channel_series, scatter_taken_out
 from deepkoco.fit.data.way_before import hidden_by, ways_of
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import Motion, System
@@ -59,6 +59,8 @@ class Windows:
         way: (W, J, P) positions of the joints at their last turning points before the window and at its start, see
             :mod:`.way_before`; None where no log tells.
         unseen: Per joint, the way up to which noise of its encoder hid a motion from ``way``; 0 without an encoder.
+        taken_out: Per channel, the standard deviation by which its stamps scattered about the even times that took their
+            place [s], see :mod:`.even_stamps`; empty where none did.
         doubt: (W, N) factor of the noise of a channel in a window, at least 1; None for 1. See :mod:`..solve.robust`.
     """
 
@@ -80,6 +82,7 @@ class Windows:
     doubt: Tensor | None = None
     way: Tensor | None = None
     unseen: tuple[float, ...] = ()
+    taken_out: tuple[float, ...] = ()
 
     def __len__(self) -> int:
         return len(self.t0)
@@ -238,6 +241,7 @@ def cut_windows(
         known_of(recordings, system),
         way=torch.from_numpy(way),
         unseen=unseen,
+        taken_out=scatter_taken_out(recordings, [series for _, series in channels], names),
     )
 
 
