@@ -70,8 +70,8 @@ def moved_stamps(windows: Windows, index: int, name: str) -> Evidence | None:
     if not scatter > USUAL_JITTER:
         return None
     text = (
-        f"The time stamps of {name} scatter by {1e3 * scatter:.2g} ms. Its motion is smooth only at even times, so the log "
-        "was read at these, and no cause has to explain the scatter. Stamp samples where they are taken."
+        f"The time stamps of {name} scatter by {1e3 * scatter:.2g} ms. Its motion is smooth only at even times, so the "
+        "log was read at these, and no cause has to explain the scatter. Stamp samples where they are taken."
     )
     return Evidence("moved_stamps", scatter, USUAL_JITTER, text)
 

@@ -59,8 +59,8 @@ class Windows:
         way: (W, J, P) positions of the joints at their last turning points before the window and at its start, see
             :mod:`.way_before`; None where no log tells.
         unseen: Per joint, the way up to which noise of its encoder hid a motion from ``way``; 0 without an encoder.
-        taken_out: Per channel, the standard deviation by which its stamps scattered about the even times that took their
-            place [s], see :mod:`.even_stamps`; empty where none did.
+        taken_out: Per channel, the standard deviation by which its stamps scattered about the even times that took
+            their place [s], see :mod:`.even_stamps`; empty where none did.
         doubt: (W, N) factor of the noise of a channel in a window, at least 1; None for 1. See :mod:`..solve.robust`.
     """
 
