@@ -35,7 +35,7 @@ HIDDEN = {
     "actuation_delay": ("quadrotor_height", "closed-loop", {"delay": 0.02}),
     "lost_commands": ("rod_pendulum", "chirp", {"share": 0.05}),
     "gain_curve": ("rod_pendulum", "chirp", {"curvature": -0.015}),
-    "torque_speed": ("rod_pendulum", "steps", {"droop": 0.05}),
+    "torque_speed_curve": ("rod_pendulum", "steps", {"droop": 0.05}),
     "asymmetric_viscous(joint 1)": ("two_link_arm", "steps", {"difference": 0.4}),
 }
 

@@ -33,7 +33,7 @@ DOSES: dict[str, Dose] = {
     },
     "quadratic": lambda x, load, command, time: {"drag": 0.01 * x * load * time**2},
     "load_friction": lambda x, load, command, time: {"coefficient": 0.02 * x * load / command},
-    "torque_speed": lambda x, load, command, time: {"droop": 0.05 * x * time},
+    "torque_speed_curve": lambda x, load, command, time: {"droop": 0.05 * x * time},
     "gain": lambda x, load, command, time: {"factor": 1.0 / (1.0 + 0.1 * x)},
     "torque_bias": lambda x, load, command, time: {"effort": 0.02 * x * command},
     "dead_zone": lambda x, load, command, time: {"width": 0.03 * x * command},

@@ -114,7 +114,7 @@ class HiddenUnit:
             "coulomb",
             "stribeck",
             "load_friction",
-            "torque_speed",
+            "torque_speed_curve",
         )
         own = [self._of(kind, j) for kind in kinds]
         if not any(own):

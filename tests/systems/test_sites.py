@@ -29,7 +29,7 @@ def test_effects_are_named_by_joint_and_by_channel():
     assert "gain" in height
     # A flying body has no dry friction, thrust has one sign, and nothing turns.
     rubs = {"coulomb", "stribeck", "load_friction", "asymmetric_viscous"}
-    assert not (rubs | {"dead_zone", "asymmetry", "cogging", "tilt", "torque_speed"}) & set(height)
+    assert not (rubs | {"dead_zone", "asymmetry", "cogging", "tilt", "torque_speed_curve"}) & set(height)
 
 
 @settings(max_examples=30, deadline=None)

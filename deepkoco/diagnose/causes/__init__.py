@@ -14,7 +14,7 @@ from deepkoco.diagnose.causes.actuator import (
     RATE_LIMIT,
     SATURATION,
     TORQUE_BIAS,
-    TORQUE_SPEED,
+    TORQUE_SPEED_CURVE,
     UNIT_SLIP,
 )
 from deepkoco.diagnose.causes.asymmetric_friction import ASYMMETRIC_VISCOUS
@@ -87,7 +87,7 @@ CAUSES: dict[str, Cause] = {
         GAIN_DRIFT,
         ASYMMETRY,
         CROSSTALK,
-        TORQUE_SPEED,
+        TORQUE_SPEED_CURVE,
         RATE_LIMIT,
         CONSTANT_LOAD,
         SPRING,

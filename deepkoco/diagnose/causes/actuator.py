@@ -156,8 +156,8 @@ CROSSTALK = Cause(
     "command",
     lambda motion: motion.command,
 )
-TORQUE_SPEED = Cause(
-    "torque_speed",
+TORQUE_SPEED_CURVE = Cause(
+    "torque_speed_curve",
     "actuator",
     ("droop",),
     "The drive has less force the faster it pushes its joint: the back EMF of a motor takes a share of its voltage.",

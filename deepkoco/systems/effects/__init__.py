@@ -33,7 +33,7 @@ from deepkoco.systems.effects.timing import (
     SENSING_DELAY,
     STAMP_LEAD,
 )
-from deepkoco.systems.effects.torque_speed import TORQUE_SPEED
+from deepkoco.systems.effects.torque_speed_curve import TORQUE_SPEED_CURVE
 from deepkoco.systems.joint_state import JointState
 from deepkoco.systems.system import System
 
@@ -68,7 +68,7 @@ EFFECTS: dict[str, Effect] = {
         DEAD_ZONE,
         SATURATION,
         RATE_LIMIT,
-        TORQUE_SPEED,
+        TORQUE_SPEED_CURVE,
         CONSTANT_LOAD,
         SPRING,
         CROSSTALK,

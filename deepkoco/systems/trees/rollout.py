@@ -25,7 +25,7 @@ KINDS = (
     "cogging",
     "periodic",
     "crosstalk",
-    "torque_speed",
+    "torque_speed_curve",
     "stribeck",
     "load_friction",
 )

@@ -257,7 +257,7 @@ LEFT_OUT = {
     "channel_slip": "correct the unit of the channel; it is no property of the robot",
     "low_pass": "filter the measurements in your own loop; it is no property of the robot",
     "noise_level": "add the noise to the measurements in your own loop",
-    "torque_speed": "scale the force of the actuator by 1 - droop |speed| where it pushes along the motion",
+    "torque_speed_curve": "scale the force of the actuator by 1 - droop |speed| where it pushes along the motion",
     "quantisation": "round the measurements in your own loop",
     "jitter": "it belongs to the time stamps of the log",
     "clock_skew": "it belongs to the clocks of the log",

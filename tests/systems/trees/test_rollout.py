@@ -133,7 +133,7 @@ def test_compiled_rollout_has_every_term_of_a_learned_load(arm, joint, monkeypat
             torch.testing.assert_close(own, wanted, rtol=1e-8, atol=1e-9)
 
 
-@pytest.mark.parametrize("effect", ["learned", "load_friction", "crosstalk", "torque_speed"])
+@pytest.mark.parametrize("effect", ["learned", "load_friction", "crosstalk", "torque_speed_curve"])
 def test_loads_that_follow_a_joint_with_two_actuators_see_their_sum(tmp_path, effect, monkeypatch):
     rng = np.random.default_rng(7)
     path = tmp_path / "arm.xml"

@@ -149,7 +149,7 @@ KINDS: dict[str, Kind] = {
             "torque_speed",
             lambda s, p, r: {"no_load_speed": (0.7 if p.slides else 2.0) / s},
             (
-                "torque_speed({j})",
+                "torque_speed_curve({j})",
                 "viscous({j})",
                 "gain({j})",
                 "saturation({j})",

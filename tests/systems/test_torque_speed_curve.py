@@ -14,7 +14,9 @@ def at(*values: float) -> tuple[torch.Tensor, ...]:
 
 def force(effort: float, speed: float, droop: float = 0.05) -> float:
     """What the motor of a pendulum delivers at its upright position [N m]."""
-    system = ExtendedSystem(make_system("rod_pendulum"), ("torque_speed",), {"torque_speed.droop": droop})
+    system = ExtendedSystem(
+        make_system("rod_pendulum"), ("torque_speed_curve",), {"torque_speed_curve.droop": droop}
+    )
     p = system.default_parameters()
     law = system.accelerations(p)
     moved, coasts = (law(Motion(at(0.0), at(speed), at(u)))[0] for u in (effort, 0.0))
@@ -40,9 +42,11 @@ def test_a_drive_loses_force_with_the_speed_at_which_it_pushes(effort, speed, de
 
 def test_it_belongs_to_joints_that_are_driven():
     furuta = effects_of(make_system("furuta_pendulum"))
-    assert [name for name in furuta if name.startswith("torque_speed")] == ["torque_speed(joint 1)"]
+    assert [name for name in furuta if name.startswith("torque_speed_curve")] == [
+        "torque_speed_curve(joint 1)"
+    ]
 
 
 def test_its_unit_is_one_over_the_no_load_speed_where_drives_deliver_loads():
-    system = ExtendedSystem(make_system("servo_pendulum"), ("torque_speed",))
-    assert system.parameter("torque_speed.droop").unit == "s/rad"
+    system = ExtendedSystem(make_system("servo_pendulum"), ("torque_speed_curve",))
+    assert system.parameter("torque_speed_curve.droop").unit == "s/rad"

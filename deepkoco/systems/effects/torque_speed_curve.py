@@ -29,10 +29,9 @@ from deepkoco.systems.system import System
 SLOWEST, SLOWEST_SLIDING = 1.0, 0.1  # no-load speeds of the slowest drives [rad/s, m/s]
 
 
-def _torque_speed(system: System, joint: int = 0) -> tuple[Parameter, ...]:
-    if (
-        not system.dry_friction or joint not in system.command_joints
-    ):  # a propeller in the air is no such motor
+def _torque_speed_curve(system: System, joint: int = 0) -> tuple[Parameter, ...]:
+    # A propeller in the air is no such motor.
+    if not system.dry_friction or joint not in system.command_joints:
         return ()
     most, of = system.delivered_scales[system.command_joints.index(joint)]
     load = system.load_scales[joint] / most
@@ -49,16 +48,16 @@ def _torque_speed(system: System, joint: int = 0) -> tuple[Parameter, ...]:
     return (Parameter("droop", 0.0, unit, 0.0, limit, 0.1 * limit, text),)
 
 
-def _torque_speed_load(joint: JointState, p: Parameters) -> Tensor:
+def _torque_speed_curve_load(joint: JointState, p: Parameters) -> Tensor:
     along = torch.clamp(joint.effort * joint.speed, min=0.0)
     return -p["droop"] * torch.sign(joint.effort) * along
 
 
-TORQUE_SPEED = Effect(
-    "torque_speed",
+TORQUE_SPEED_CURVE = Effect(
+    "torque_speed_curve",
     "actuator",
     "load",
-    _torque_speed,
+    _torque_speed_curve,
     "the drive has less force the faster it pushes its joint",
-    _torque_speed_load,
+    _torque_speed_curve_load,
 )
