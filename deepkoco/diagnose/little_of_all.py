@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from deepkoco.diagnose.baseline import LONG, Baseline
 from deepkoco.diagnose.causes import Cause, is_changed
 from deepkoco.diagnose.causes.tolerance import OF_MODEL_FILE, Healthy
@@ -22,6 +24,7 @@ from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.systems import Parameter
 
 SOME = 0.2  # of a standard deviation of what any unit has, from which a fit needs an effect
+CLEAR = 3.0  # standard deviations of its estimate, from which it does too
 
 
 def beside(
@@ -62,9 +65,20 @@ def beside(
         found = problem.fit([trial], LONG)[0]
         if found.diverged:
             break
-        away = {n: abs(found.values[n] - grown.values[n]) for n in found.free}
-        little = {c: s for c, s in little.items() if any(away[p.name] > SOME * p.prior_sd for p in s)}
+        shown = _shown(found, grown, [p for s in little.values() for p in s])
+        little = {c: s for c, s in little.items() if any(p.name in shown for p in s)}
     return replace(grown, narrowing=start.narrowing), found
+
+
+def _shown(fit: Fit, start: Baseline, sizes: Sequence[Parameter]) -> set[str]:
+    """Return the sizes of which the windows show some: a share of what any unit has, or more than their own error.
+
+    A clock that gains a fiftieth of what clocks may gain shows in a log of an encoder with little noise.
+    """
+    error = np.sqrt(start.narrowing * np.diag(fit.covariance))
+    own = dict(zip(fit.free, error, strict=True))
+    away = {p.name: abs(fit.values[p.name] - start.values[p.name]) for p in sizes}
+    return {p.name for p in sizes if away[p.name] > min(SOME * p.prior_sd, CLEAR * own[p.name])}
 
 
 def with_little_of_all(
