@@ -43,6 +43,7 @@ from deepkoco.diagnose.causes.sensor import (
     SENSOR_BIAS,
     SENSOR_DRIFT,
     SENSOR_SCALE,
+    SPEED_BIAS,
 )
 from deepkoco.diagnose.causes.timing import (
     ACTUATION_DELAY,
@@ -98,6 +99,7 @@ CAUSES: dict[str, Cause] = {
         TILT,
         FORCE,
         SENSOR_BIAS,
+        SPEED_BIAS,
         SENSOR_SCALE,
         SENSOR_DRIFT,
         LOW_PASS,

@@ -19,6 +19,15 @@ SENSOR_BIAS = Cause(
     "theta",
     lambda motion: np.cos(motion.theta),
 )
+SPEED_BIAS = Cause(
+    "speed_bias",
+    "sensor",
+    ("speed",),
+    "The zero of the speed sensor is off.",
+    "Hold the joint still and read the sensor.",
+    "omega",
+    lambda motion: np.ones_like(motion.omega),
+)
 SENSOR_SCALE = Cause(
     "sensor_scale",
     "sensor",

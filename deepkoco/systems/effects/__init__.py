@@ -24,7 +24,14 @@ from deepkoco.systems.effects.hysteresis import BRISTLE, GEAR_PLAY, LUGRE
 from deepkoco.systems.effects.learned import LEARNED
 from deepkoco.systems.effects.noise import JITTER, LOST_COMMANDS, NOISE_LEVEL, QUANTISATION
 from deepkoco.systems.effects.scaled import SCALED
-from deepkoco.systems.effects.sensor import CHANNEL_SLIP, LOW_PASS, SENSOR_BIAS, SENSOR_DRIFT, SENSOR_SCALE
+from deepkoco.systems.effects.sensor import (
+    CHANNEL_SLIP,
+    LOW_PASS,
+    SENSOR_BIAS,
+    SENSOR_DRIFT,
+    SENSOR_SCALE,
+    SPEED_BIAS,
+)
 from deepkoco.systems.effects.timing import (
     ACTUATION_DELAY,
     CHANNEL_DELAY,
@@ -84,6 +91,7 @@ EFFECTS: dict[str, Effect] = {
         SCALED,
         SENSOR_SCALE,
         SENSOR_BIAS,
+        SPEED_BIAS,
         SENSOR_DRIFT,
         LOW_PASS,
         CHANNEL_SLIP,

@@ -30,6 +30,21 @@ def _apply_bias(measurement: Tensor, site: SensorSite, p: Parameters) -> Tensor:
     return _changed(measurement, site.positions, lambda x: x + p["angle"])
 
 
+def _speed_bias(system: System, joint: int = 0) -> tuple[Parameter, ...]:
+    """A gyro or a tachometer; where the position is measured too, its change shows what a joint at rest does."""
+    shown = system.measured_states if system.shows_states else ()
+    if system.joints + joint not in shown or joint in shown:
+        return ()
+    unit = system.state_units[system.joints + joint]
+    return (
+        Parameter("speed", 0.0, unit, -0.5, 0.5, 0.05, "w0, speed that the sensor shows of a joint at rest"),
+    )
+
+
+def _apply_speed_bias(measurement: Tensor, site: SensorSite, p: Parameters) -> Tensor:
+    return _changed(measurement, site.speeds, lambda x: x + p["speed"])
+
+
 def _scale(system: System, joint: int = 0) -> tuple[Parameter, ...]:
     return (Parameter("factor", 1.0, "1", 0.3, 3.0, 0.1, "k_s, reading per true value"),)
 
@@ -68,6 +83,9 @@ def _low_pass(system: System, _: int = 0) -> tuple[Parameter, ...]:
 
 SENSOR_BIAS = Effect(
     "sensor_bias", "sensor", "sensor", _bias, "the position sensor's zero is off", _apply_bias
+)
+SPEED_BIAS = Effect(
+    "speed_bias", "sensor", "sensor", _speed_bias, "the speed sensor's zero is off", _apply_speed_bias
 )
 SENSOR_SCALE = Effect(
     "sensor_scale", "sensor", "sensor", _scale, "the sensor's readings are scaled", _apply_scale
