@@ -90,11 +90,14 @@ class RobotNodes(Away):
         self.link.send(Kind.MESSAGE, encode(message))
 
     def tell(self, position: int, command: str, payload: Any) -> None:
+        if command in ("go", "end"):
+            self.link.watch(command == "go")
         if command == "go":
             payload = {key: payload[key] for key in _SENT}
         self.link.send(Kind.ORDER, pack({"node": position, "command": command, "payload": payload}))
 
     def stop(self, failure: NodeFailure | None) -> None:
+        self.link.watch(False)
         self.link.send(Kind.OVER, pack({"reason": None if failure is None else failure.reason}))
 
     def farewell(self, records: dict[str, dict[str, Any]]) -> None:
@@ -141,6 +144,7 @@ class RobotNodes(Away):
             return
         tree = unpack(one.body)
         if one.kind == Kind.OVER:
+            self.link.watch(False)
             self._fail(_failure_of(tree, self.name))
         elif one.kind != Kind.ANSWER:
             raise WireError(f"a frame of kind {one.kind}")

@@ -5,6 +5,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 from deepkoco.graph.net.clock_offset import ClockJumpError, Exchange, Offset, OffsetEstimator
@@ -13,6 +14,8 @@ from deepkoco.graph.net.wire import PING, PONG, Frame, FrameReader, Kind, Ping, 
 BEAT_PERIOD = 0.02  # from one sign of life to the next [s]
 SILENCE = 0.06
 """Longest time without anything from the other end [s]; what has to be safe within 100 ms needs the rest to stop."""
+IDLE_SILENCE = 5.0
+"""The same while no episode runs and all is at rest: long records are packed then, and modules imported [s]."""
 _MOST = 1 << 16  # bytes taken from the socket at once
 
 
@@ -43,7 +46,7 @@ class Link:
         connection: connected, after the greeting.
         take: is given what comes, other than signs of life, in the link's thread.
         lost: is told once why the link has ended, unless `close` ended it.
-        silence: longest time without anything from the other end [s].
+        silence: longest time without anything from the other end while an episode runs [s].
         clock: own time [ns, monotonic].
         exchanged: is given each estimate of the other clock, with the own time [ns].
         known: correction and uncertainty [ns] of this end's clock, for the other end; None: this end leads.
@@ -67,7 +70,8 @@ class Link:
         self.exchanges: list[Exchange] | None = None
         """Where it is a list, all exchanges are kept in it."""
         self._connection, self._take, self._lost = connection, take, lost
-        self._silence, self._clock, self._exchanged, self._known = silence, clock, exchanged, known
+        self._limits = max(silence, IDLE_SILENCE), silence
+        self._silence, self._clock, self._exchanged, self._known = self._limits[0], clock, exchanged, known
         self._reader, self._pending, self._lock = FrameReader(), bytearray(), threading.Lock()
         self._taken = clock()  # when the system last took all or some of what was pending [ns]
         self._closed = threading.Event()
@@ -81,6 +85,10 @@ class Link:
     def alive(self) -> bool:
         """Whether it has neither failed nor been closed."""
         return not self._closed.is_set()
+
+    def watch(self, running: bool) -> None:
+        """Say whether an episode runs, so that silence counts."""
+        self._silence = self._limits[running]
 
     def send(self, kind: Kind, body: bytes) -> None:
         """Send a frame; where the link has ended it goes nowhere."""
@@ -135,14 +143,15 @@ class Link:
             reason = f"{type(error).__name__}: {error}"
         if not self._closed.is_set():
             self._closed.set()
+            with suppress(OSError):
+                self._connection.shutdown(socket.SHUT_RDWR)  # the other end is to hear of it at once
             self._lost(reason or "the connection was closed by the other end")
 
     def _serve(self) -> str | None:
         """Listen until the end; return why it ended, None where the other end has closed."""
         heard = beat = self._clock()
-        silence = round(self._silence * 1e9)
         while not self._closed.is_set():
-            now = self._clock()
+            now, silence = self._clock(), round(self._silence * 1e9)
             if now >= beat:
                 self._ping(now)
                 beat = now + round(BEAT_PERIOD * 1e9)

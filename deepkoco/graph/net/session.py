@@ -190,9 +190,12 @@ class Session(Away):
             self._episode = payload["episode"]
             self._answer(position, command, crew.ask({name: (command, payload)})[name])
         elif command == "end":
-            log = crew.ask({name: (command, payload)})[name]
-            self._answer(position, command, log)
-            self._keep(name, log)
+            if not self._logs:
+                # All at once: a node that ended later would miss the commands that do not come any more.
+                own = (node for node in self.graph.index if node not in self.nodes)
+                self._logs = crew.ask({node: (command, payload) for node in own})
+                self._finish()
+            self._answer(position, command, self._logs[name])
         else:
             self._begin(payload)
             crew.tell(name, command, payload | {"factor": 1.0, "part": self._schedule(name)})
@@ -247,17 +250,18 @@ class Session(Away):
         if payload["origin"] == self._origin:
             return
         self._origin, self._running, self._logs, self._uncertain = payload["origin"], True, {}, 0
+        self.link.watch(True)
         if self._recorder is not None:
             self._guard(self._recorder.open)
             if self._unwritten is None:
                 self._recorder.begin(self._episode, None, {}, payload["origin_ns"])
 
-    def _keep(self, name: str, log: dict[str, Any]) -> None:
-        self._logs[name] = log
-        if len(self._logs) == len(self.graph.nodes) - len(self.nodes):
-            self._running = False
-            if self._recorder is not None:
-                self._recorder.end(part_of_episode(self.graph, self._logs))
+    def _finish(self) -> None:
+        """Finish an episode whose nodes have all ended."""
+        self._running = False
+        self.link.watch(False)
+        if self._recorder is not None:
+            self._recorder.end(part_of_episode(self.graph, self._logs))
 
     def _end_recording(self, crew: Crew) -> None:
         if self._recorder is None:
