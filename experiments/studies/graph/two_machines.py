@@ -64,7 +64,9 @@ KILLS = (
 
 
 @contextlib.contextmanager
-def serving(file: str, nodes: str, folder: Path, **environment: str) -> Iterator[tuple[str, int, int]]:
+def serving(
+    file: str, nodes: str, folder: Path, priority: int | None, **environment: str
+) -> Iterator[tuple[str, int, int]]:
     """A robot's end in a process of its own; gives its address, its process and how far its clock is ahead [ns]."""
     ahead = AHEAD if _time_namespaces() else 0
     prefix = ["unshare", "--time", "--monotonic", str(AHEAD), "--fork", "--kill-child"] if ahead else []
@@ -79,10 +81,11 @@ def serving(file: str, nodes: str, folder: Path, **environment: str) -> Iterator
         "--listen",
         "127.0.0.1:0",
     ]
+    asked = [] if priority is None else ["--priority", str(priority)]
     log = folder / "serve.log"
     with log.open("w") as out:
         process = subprocess.Popen(
-            [*prefix, *command, "--record", str(folder / "robot")],
+            [*prefix, *command, *asked, "--record", str(folder / "robot")],
             stdout=out,
             stderr=out,
             env=os.environ | environment,
@@ -126,7 +129,7 @@ class Watched:
 
 
 def long_run(
-    seconds: float, folder: Path
+    seconds: float, folder: Path, priority: int | None = None
 ) -> tuple[Graph, list[Episode], list[tuple[str, Path]], Watched, int]:
     """Run until enough seconds have been recorded, in as many sessions as it takes.
 
@@ -138,7 +141,7 @@ def long_run(
     rate = float(graph.node(graph.supervisor).rate)
     episodes, sessions, left = [], [], round(seconds * rate)
     began = time.monotonic()
-    with serving(RUN, "world,sensor", folder) as (address, _, ahead):
+    with serving(RUN, "world,sensor", folder, priority) as (address, _, ahead):
 
         def look(inputs: Any) -> torch.Tensor:
             correction, uncertainty = away.link.far_correction
@@ -245,12 +248,12 @@ class Witness:
         return any(command != 0.0 for _, command in self.commands)
 
 
-def kill(what: str, how: str, rng: np.random.Generator) -> dict[str, Any]:
+def kill(what: str, how: str, rng: np.random.Generator, priority: int | None = None) -> dict[str, Any]:
     """Kill one part of a run and measure when the motor is without power."""
     witness = Witness()
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
-        with serving(MOTOR, "motor", folder, **{PORT: str(witness.port)}) as (address, robot, _):
+        with serving(MOTOR, "motor", folder, priority, **{PORT: str(witness.port)}) as (address, robot, _):
             leader = subprocess.Popen(
                 [sys.executable, "-m", "deepkoco.cli", "lead", MOTOR, "--to", address, "--seconds", "600"],
                 stdout=subprocess.PIPE,
@@ -296,13 +299,15 @@ def study(arguments: argparse.Namespace) -> tuple[list[Picture], str]:
     rng = np.random.default_rng(arguments.seed)
     rows = []
     for what, how in KILLS[: arguments.kills]:
-        while (row := kill(what, how, rng))["stopped_before"]:
+        while (row := kill(what, how, rng, arguments.priority))["stopped_before"]:
             rows.append(row | {"load_average": load()})
         rows.append(row)
         print(row, flush=True)
     with tempfile.TemporaryDirectory() as place:
         processor = os.times()
-        graph, episodes, sessions, watched, ahead = long_run(arguments.seconds, Path(place))
+        graph, episodes, sessions, watched, ahead = long_run(
+            arguments.seconds, Path(place), arguments.priority
+        )
         used = sum(os.times()[:4]) - sum(processor[:4])
     nodes, messages = tables(graph, episodes)
     clocks = clock_table(watched, ahead)
@@ -490,6 +495,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--seconds", type=float, default=600.0, help="length of the run [s]")
     parser.add_argument("--kills", type=int, default=len(KILLS), help="how many of the kills")
     parser.add_argument("--seed", type=int, default=0, help="of the instants of the kills")
+    parser.add_argument(
+        "--priority", type=int, help="real-time priority of the nodes at the robot (default: none)"
+    )
     return run_study(argv, parser, study)
 
 
