@@ -118,6 +118,32 @@ def test_a_batch_of_single_environments_has_one_filter():
     alone.close()
 
 
+class Late(gymnasium.Wrapper):
+    """A clock in real time, on which every step takes half a step longer than it should."""
+
+    def reset(self, **arguments):
+        observation, info = self.env.reset(**arguments)
+        self.now = 0.0
+        return observation, {**info, "time": self.now}
+
+    def step(self, action):
+        *result, info = self.env.step(action)
+        self.now += 0.03
+        return *result, {**info, "time": self.now}
+
+
+def test_a_step_that_comes_late_counts_as_long_as_it_was():
+    plain = DelayGraphEnv(system="pendulum", action_units="physical", executor="eager")
+    taken = {}
+    for late in (False, True):
+        env = EstimatorWrapper(Late(plain) if late else plain, process_noise=1e-3, actuation_delay=0.0)
+        env.reset(seed=0, options={"initial_state": np.array([0.0, 10.0])})
+        env.step(np.zeros(1, np.float32))
+        assert env._estimates._memory is not None
+        taken[late] = float(env._estimates._memory.newest()[1])
+    assert taken == pytest.approx({False: 0.02, True: 0.03})
+
+
 def test_the_wrapper_keeps_the_contract_of_an_environment():
     check_env(EstimatorWrapper(gymnasium.make("deepkoco/Pendulum-v0").unwrapped), skip_render_check=True)
 

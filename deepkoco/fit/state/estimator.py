@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -57,14 +58,12 @@ class Memory:
         def combined(own: Tensor, others: Tensor) -> Tensor:
             return torch.where(mask.reshape(-1, *(1,) * (own.ndim - 1)), own, others)
 
-        parts = {f.name: getattr(self, f.name) for f in fields(self)}
-        joined = {
-            name: value.where(mask, other.before)
-            if isinstance(value, Belief)
-            else combined(value, getattr(other, name))
-            for name, value in parts.items()
+        joined: dict[str, Any] = {
+            f.name: combined(getattr(self, f.name), getattr(other, f.name))
+            for f in fields(self)
+            if f.name != "before"
         }
-        return Memory(**joined)
+        return Memory(**joined, before=self.before.where(mask, other.before))
 
 
 class DelayedEstimator:

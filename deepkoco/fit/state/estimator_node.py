@@ -133,6 +133,7 @@ class StateEstimator(Node):
         held = self.system.actuate(self.system.effort_of(torch.stack(cut, -1)), model)
         acts = agent.t_sent + self.actuation_delay
         belief, since, seen = Belief(state["mean"], state["root"]), state["since"], state["seen"]
+        noise, angle = self._noise.to(since.device), self._angle.to(since.device)
         for k in range(sensor.seq.shape[1]):
             seq = sensor.seq[:, k]
             new = seq > seen
@@ -140,7 +141,7 @@ class StateEstimator(Node):
             taken = torch.where(new, torch.maximum(taken, since), since)
             moved = self._carry(belief, since, taken, held, acts, model, self._between)
             shown, _ = update(
-                moved, self.system.ideal_measurement, sensor.data[:, k], self._noise, self.points, self._angle
+                moved, self.system.ideal_measurement, sensor.data[:, k], noise, self.points, angle
             )
             belief, since, seen = shown.where(new, belief), taken, torch.maximum(seq, seen)
         after = {"mean": belief.mean, "root": belief.root, "since": since, "seen": seen}
@@ -177,7 +178,7 @@ class StateEstimator(Node):
             return state
 
         # Half of the noise before and half after: to first order that is noise at all times in between.
-        half = torch.diag_embed(self._density) * (0.5 * length).sqrt()[:, None, None]
+        half = torch.diag_embed(self._density.to(length.device)) * (0.5 * length).sqrt()[:, None, None]
         before = Belief(belief.mean, lower_root(torch.cat([belief.root.mT, half], 1)))
         return predict(before, move, half, self.points)
 

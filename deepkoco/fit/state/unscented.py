@@ -65,8 +65,12 @@ class SigmaPoints:
         """S + lambda for S = ``size``."""
         return self.alpha**2 * (size + self.kappa)
 
-    def weights(self, size: int) -> tuple[Tensor, Tensor]:
+    def weights(self, size: int, device: torch.device | None = None) -> tuple[Tensor, Tensor]:
         """Weights (2 S + 1,) of mean and covariance.
+
+        Args:
+            size: S.
+            device: Where they are; None: the processor.
 
         Raises:
             FilterError: The mean point's weight in the covariance is negative.
@@ -83,7 +87,7 @@ class SigmaPoints:
                 f"sigma points: alpha {self.alpha:g}, beta {self.beta:g}, kappa {self.kappa:g} give the mean point the "
                 f"weight {float(covariance[0]):.3g} in a covariance of {size} states; it must not be negative"
             )
-        return mean, covariance.clamp_min(0.0)
+        return mean.to(device), covariance.clamp_min(0.0).to(device)
 
     def of(self, belief: Belief) -> Tensor:
         """Points (B, 2 S + 1, S) of a belief."""
@@ -102,7 +106,7 @@ def predict(belief: Belief, transition: Map, noise_root: Tensor, points: SigmaPo
         points: Parameters of the sigma points.
     """
     size = belief.mean.shape[1]
-    mean_weight, weight = points.weights(size)
+    mean_weight, weight = points.weights(size, belief.mean.device)
     moved = transition(points.of(belief))
     mean = (mean_weight[:, None] * moved).sum(1)
     deviation = (moved - mean[:, None]) * weight.sqrt()[:, None]
@@ -138,7 +142,7 @@ def update(
     Source: Kailath, Sayed, Hassibi, Linear Estimation, ch. 12 (array algorithms).
     """
     size, channels = belief.mean.shape[1], measured.shape[1]
-    mean_weight, weight = points.weights(size)
+    mean_weight, weight = points.weights(size, belief.mean.device)
     sigma = points.of(belief)
     shown = measure(sigma)
     expected = (mean_weight[:, None] * shown).sum(1)
@@ -152,7 +156,7 @@ def update(
     of_state = (sigma - belief.mean[:, None]) * scale
     # A missing channel has a row with unit noise that is uncorrelated with all others.
     spread = torch.where(there, noise_sd.expand_as(measured), 1.0)
-    noise = spread[..., None] * torch.eye(channels, dtype=measured.dtype)
+    noise = spread[..., None] * torch.eye(channels, dtype=measured.dtype, device=measured.device)
     zero = torch.zeros_like(of_state[:, :1]).expand(-1, channels, -1)
     rows = torch.cat([torch.cat([of_shown, of_state], 2), torch.cat([noise, zero], 2)], 1)
     root = lower_root(rows)
