@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -21,7 +22,9 @@ from deepkoco.fit.state.estimator import DelayedEstimator, Memory, system_deriva
 from deepkoco.fit.state.unscented import Belief
 from deepkoco.systems import System, any_system
 
-MOST_COMMANDS = 64  # kept; at 50 Hz they reach back more than a second
+MOST_COMMANDS = 64  # kept at least; at 50 Hz they reach back more than a second
+REACH = 4.0  # times the expected delays, over which commands are kept at least
+TIMES = ("time", "observation_age")
 
 
 class Estimates:
@@ -80,6 +83,8 @@ class Estimates:
             kept=2,  # observations come in order
             angle=torch.tensor([c.angle for c in self.model.measurements]),
         )
+        delays = self.actuation_delay + self.sensing_delay
+        self._commands = max(MOST_COMMANDS, math.ceil(REACH * delays * rate))
         self._memory: Memory | None = None
         self._time = torch.zeros(count, dtype=torch.float64)
 
@@ -95,7 +100,7 @@ class Estimates:
             self._start.expand(self.count, size, size),
         )
         idle = torch.zeros(self.count, len(self.limits), dtype=torch.float64)
-        fresh = self._filter.start(belief, self._time - age, idle, MOST_COMMANDS)
+        fresh = self._filter.start(belief, self._time - age, idle, self._commands)
         fresh = self._filter.receive(fresh, self._time, self._measured(observation), age)
         if mask is not None and self._memory is not None:
             fresh = fresh.where(torch.from_numpy(np.asarray(mask, bool)), self._memory)
@@ -259,7 +264,7 @@ class VectorEstimatorWrapper(VectorWrapper, RecordConstructorArgs):
             last = np.array(observation)
             for place in np.flatnonzero(ended):
                 last[place] = info["final_obs"][place]
-            estimates.receive(last, info.get("final_info", info))
+            estimates.receive(last, _of_the_ended(info, ended))
             final = np.empty(self.num_envs, dtype=object)
             for place, row in enumerate(estimates.shown(last)):
                 final[place] = row if ended[place] else None
@@ -272,6 +277,21 @@ class VectorEstimatorWrapper(VectorWrapper, RecordConstructorArgs):
             estimates.restart(observation, info, starting)
         self._ended = ended
         return estimates.shown(observation), reward, terminated, truncated, info
+
+
+def _of_the_ended(info: Mapping[str, Any], ended: np.ndarray) -> dict[str, Any]:
+    """What tells times, of the last step of environments that have ended and of this step of all others.
+
+    Gymnasium gives zeros in ``final_info`` for environments that go on.
+    """
+    final = info.get("final_info", {})
+    return {**info, **{n: _where(ended, final[n], info.get(n, final[n])) for n in TIMES if n in final}}
+
+
+def _where(ended: np.ndarray, last: Any, now: Any) -> Any:
+    if isinstance(last, Mapping):
+        return {n: _where(ended, value, now.get(n, value)) for n, value in last.items()}
+    return np.where(ended, last, now)
 
 
 def _attribute(env: Any, name: str) -> Any:

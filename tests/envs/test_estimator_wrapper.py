@@ -6,7 +6,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from gymnasium.vector import SyncVectorEnv
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from deepkoco.envs.delay_env import DelayGraphEnv, DelayGraphVectorEnv
 from deepkoco.envs.delay_wrapper import DelayWrapper
@@ -116,6 +116,22 @@ def test_a_batch_of_single_environments_has_one_filter():
     np.testing.assert_allclose(together.step(action)[0][1], alone.step(action[1])[0], atol=1e-6)
     together.close()
     alone.close()
+
+
+def test_an_episode_that_ends_leaves_the_estimates_of_the_other_environments_alone():
+    def second(ends: int) -> np.ndarray:
+        def make(steps):
+            inside = gymnasium.make("deepkoco/Pendulum-v0", action_units="physical")
+            late = DelayWrapper(inside, actuation_delay=0.02, sensing_delay=0.06)
+            return gymnasium.wrappers.TimeLimit(late, steps)
+
+        both = [lambda: make(ends), lambda: make(1000)]
+        env = VectorEstimatorWrapper(SyncVectorEnv(both, autoreset_mode=AutoresetMode.SAME_STEP))
+        rows = seen_along(env, 12)[:, 1]
+        env.close()
+        return rows
+
+    np.testing.assert_allclose(second(8), second(1000), atol=1e-6)
 
 
 class Late(gymnasium.Wrapper):
