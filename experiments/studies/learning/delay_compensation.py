@@ -201,7 +201,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 runs, shares = tables(folder)
                 runs.to_csv(args.out / "runs.csv", index=False, float_format="%.3f")
                 shares.to_csv(args.out / "upright.csv", index=False, float_format="%.4f")
-                (args.out / "upright.png").write_bytes(as_png(draw(shares)))
+                figure = draw(shares)
+                (args.out / "upright.png").write_bytes(as_png(figure))
+                plt.close(figure)
                 print(f"{method}, seed {seed}", flush=True)
     except ExperimentError as error:
         print(f"error: {error}", file=sys.stderr)
