@@ -61,7 +61,7 @@ def read_logs(
                 channels=channels,
                 pairs=system.speeds_of_positions,
                 fill=args.fill,
-                allow_no_command=system.moves_freely,
+                defaults=system.free_commands,
             )
         )
     assert system is not None or not paths

@@ -88,6 +88,7 @@ class Identification:
         before: Fit of the initial states alone, with all parameters at their start values.
         logs: File names.
         seed: Seed of the method's draws.
+        warnings: Assumptions and possible mistakes that the reader of the logs found.
     """
 
     system: ExtendedSystem
@@ -103,6 +104,7 @@ class Identification:
     before: Fit
     logs: tuple[str | None, ...]
     seed: int
+    warnings: tuple[str, ...] = ()
 
     @property
     def correlation(self) -> np.ndarray:
@@ -130,6 +132,7 @@ class Identification:
             "schema": 1,
             "system": self.system.name,
             "logs": list(self.logs),
+            "warnings": list(self.warnings),
             "parameters": {e.name: _plain(e) for e in self.estimates.values()},
             "encoder_zeros": [_plain(e) for e in self.zeros],
             "of_logs": {e.name: _plain(e) for e in self.of_logs},

@@ -105,7 +105,8 @@ def fit(
         time.perf_counter() - began,
     )
     logs = tuple(r.path.name if r.path else None for r in recordings)
-    return _identification(solution, before, convergence, logs, seed)
+    warnings = tuple(text for r in recordings for text in r.warnings)
+    return replace(_identification(solution, before, convergence, logs, seed), warnings=warnings)
 
 
 def _quiet(stage: str, iteration: int, most: int, cost: float) -> None:

@@ -80,6 +80,7 @@ def terminal_report(found: Identification, hidden: HiddenDelays | None = None) -
             "the residuals of the fitted system are larger than sensor noise, and the intervals are widened for it; "
             '"deepkoco diagnose" searches for the effect that is missing'
         )
+    notes += [f"assumed: {text}" for text in found.warnings]
     notes += [f"not identified: {text}" for text in found.loose_in_words()]
     at_bound = [e.name for e in (*found.estimates.values(), *found.of_logs) if e.at_bound]
     if at_bound:

@@ -55,7 +55,7 @@ def read_logs(
                 channels=channels,
                 pairs=found.speeds_of_positions,
                 fill=fill,
-                allow_no_command=found.moves_freely,
+                defaults=found.free_commands,
             )
             for path in recordings([log], episodes)
         ]

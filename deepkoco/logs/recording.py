@@ -35,6 +35,7 @@ from deepkoco.logs.sidecar import (
     sidecar_path,
 )
 from deepkoco.logs.units import UnitError, factor_between, parse_unit
+from deepkoco.logs.unused import listed, unused_columns
 from deepkoco.output.whole_file import write_whole_text, writing
 from deepkoco.suggestion import did_you_mean
 
@@ -102,7 +103,7 @@ def read_log(
     min_samples: int = 20,
     min_seconds: float = 1.0,
     allow_constant_command: bool = False,
-    allow_no_command: bool = False,
+    defaults: Mapping[str, float] | None = None,
     allow_implausible: bool = False,
 ) -> Recording:
     """Read a measured log with its sidecar and check it.
@@ -125,8 +126,9 @@ def read_log(
         min_samples: smallest number of samples of a measurement.
         min_seconds: shortest duration of a log [s].
         allow_constant_command: accept a log in which a command never changes, such as a free swing.
-        allow_no_command: accept a log of a free motion that shows no command at all. The system then has a default
-            for every command.
+        defaults: default of every command in SI units, where the system has all of them. A log of a free motion is then
+            accepted: all commands are constant at their default, or none is shown. Then a warning names the columns
+            that are not used.
         allow_implausible: accept channels that contradict each other, and values far from all others.
 
     Raises:
@@ -145,7 +147,7 @@ def read_log(
         by_name = mapping is not None
     sidecar = load_sidecar(path, mapping)
     name = _check_system(sidecar, system, systems)
-    targets = _target_units(sidecar, specs, allow_no_command)
+    targets = _target_units(sidecar, specs, defaults is not None)
     readers = _readers(path, sidecar, fill)
     if allow_implausible:
         sidecar = replace(
@@ -155,12 +157,15 @@ def read_log(
         channel: readers[column.file].read(column, targets[channel], column.time != sidecar.time)
         for channel, column in sidecar.channels.items()
     }
-    check_content(path, series, min_samples, min_seconds, allow_constant_command)
+    constant = allow_constant_command or (defaults is not None and _at(series, defaults))
+    check_content(path, series, min_samples, min_seconds, constant)
     series, begin = _from_zero(series)
     notes = [begin] if begin is not None else []
     notes += [note for reader in readers.values() for note in (*reader.log.notes, *reader.notes)]
     if by_name:
         notes.append("no sidecar: the columns with the names of the channels were taken in SI units")
+    if not any(s.kind == "command" for s in series.values()):
+        notes.append(_no_command(sidecar, readers))
     if pairs is not None:
         pairs = [(a, b) for a, b in pairs if a in series and b in series]
     frozen = frozen_stretches(series, derivative_pairs(series) if pairs is None else pairs)
@@ -229,6 +234,25 @@ def _readers(path: Path, sidecar: Sidecar, fill: str | None) -> dict[str | None,
     origin = next(iter(logs.values())).origin_ns
     _check_where(path, sidecar, logs.values())
     return {file: ChannelReader(log, sidecar.where, origin, fill) for file, log in logs.items()}
+
+
+def _at(series: Mapping[str, Series], defaults: Mapping[str, float]) -> bool:
+    """Whether all commands stay at their defaults."""
+    commands = {name: s for name, s in series.items() if s.kind == "command"}
+    return all(np.allclose(s.value, defaults[name], rtol=1e-9, atol=1e-12) for name, s in commands.items())
+
+
+def _no_command(sidecar: Sidecar, readers: Mapping[str | None, ChannelReader]) -> str:
+    """Warning of a log without a command; it names the columns of which one may be the command after all."""
+    left: list[str] = []
+    for file, reader in readers.items():
+        used = {("", name) for name in sidecar.where}
+        for column in sidecar.channels.values():
+            if column.file == file:
+                times = [column.time.name] if column.time is not None else []
+                used |= {(column.topic, name) for name in (column.value.name, *times)}
+        left += unused_columns(reader.log, used)
+    return "no command: read as a free motion" + (f"; columns not used: {listed(left)}" if left else "")
 
 
 def _check_where(path: Path, sidecar: Sidecar, logs: Iterable[LogFile]) -> None:

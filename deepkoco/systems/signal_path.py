@@ -107,9 +107,10 @@ class SignalPath:
         return tuple((a, b) for a, b in pairs if a is not None and b is not None)
 
     @property
-    def moves_freely(self) -> bool:
-        """Whether a log needs no command: every one has a default, so that a free motion can be simulated."""
-        return all(command.default is not None for command in self.commands)
+    def free_commands(self) -> dict[str, float] | None:
+        """Commands of a free motion by name, in their units: their defaults; None unless every one has a default."""
+        found = {c.name: c.default for c in self.commands if c.default is not None}
+        return found if len(found) == len(self.commands) else None
 
     def ideal_measurement(self, state: Tensor) -> Tensor:
         """What sensors without any error measure (..., N) of a state (..., S): by default the `measured_states`."""

@@ -70,12 +70,25 @@ class Proposal:
     relations: dict[tuple[str, str], Relation]
     joints: tuple[JointFinding, ...] = ()
 
-    @property
-    def complete(self) -> bool:
-        """Whether a measurement has a column, and a command too unless a free motion is a log of the system."""
+    def complete(self, survey: Survey) -> bool:
+        """Whether a measurement has a column, and a command too unless the log of this survey shows a free motion.
+
+        It does where every command has a default and no column is left that may drive the joint: a name that says
+        nothing of a command would else turn a driven log into one of a free motion.
+        """
         kinds = {c.channel.kind for c in self.choices if c.column is not None}
         asked = {c.channel.kind for c in self.choices if c.channel.default is None}
-        return "measurement" in kinds and ("command" in kinds or "command" not in asked)
+        free = "command" not in asked and not self.unused(survey)
+        return "measurement" in kinds and ("command" in kinds or free)
+
+    def unused(self, survey: Survey) -> tuple[str, ...]:
+        """Labels of the columns that vary, count nothing and are no channel."""
+        used = {c.column.label for c in self.choices if c.column is not None}
+        return tuple(
+            c.label
+            for c in survey.columns
+            if c.kind == "number" and not c.hints.counting and c.label not in used
+        )
 
 
 def mapping_of(survey: Survey, proposal: Proposal) -> dict[str, ChannelColumn]:

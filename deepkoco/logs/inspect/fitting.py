@@ -14,6 +14,7 @@ from deepkoco.logs.inspect.lone_units import with_likely_units
 from deepkoco.logs.inspect.misfit import misfit
 from deepkoco.logs.inspect.proposal import Proposer
 from deepkoco.logs.inspect.survey import Survey
+from deepkoco.logs.unused import listed
 from deepkoco.systems import System, UnknownSystemError, any_system, make_system, system_names
 
 ALIKE = 1.0  # difference of evidence per channel below which two systems fit equally well [nats]
@@ -66,7 +67,7 @@ def propose(survey: Survey, system: str | System | None = None, others: Sequence
             # systems compete by the evidence of the log alone.
             proposal = with_likely_units(found, with_what_is_left(survey, proposal), samples)
         proposals[found.name] = found, proposal
-    usable = [name for name, (_, proposal) in proposals.items() if proposal.complete]
+    usable = [name for name, (_, proposal) in proposals.items() if proposal.complete(survey)]
     if not usable:
         raise _nothing(survey, next(iter(proposals.values()))[1], system is not None)
     doubts = {name: misfit(*proposals[name], survey, samples) for name in usable}
@@ -92,6 +93,15 @@ def _without_time(survey: Survey) -> NoProposalError:
 def _nothing(survey: Survey, proposal: Proposal, asked: bool) -> NoProposalError:
     """Error if no proposal has a command and a measurement."""
     missing = [c.channel.name for c in proposal.choices if c.column is None and c.channel.default is None]
+    commands = [c for c in proposal.choices if c.channel.kind == "command"]
+    measured = any(c.column is not None for c in proposal.choices if c.channel.kind == "measurement")
+    if asked and measured and all(c.channel.default is not None and c.column is None for c in commands):
+        names = ", ".join(c.channel.name for c in commands)
+        return NoProposalError(
+            f"{survey.log.path}: no column fits a command of {proposal.system} ({names}), and "
+            f"{listed(proposal.unused(survey))} may be one; write the sidecar by hand: with it as command if it drives "
+            "a joint, without a command if the log shows a free motion"
+        )
     what = (
         f"no column fits the channel {', '.join(missing)} of {proposal.system}"
         if asked
