@@ -1,5 +1,7 @@
 """Windows and integration steps begin at commands that come at a regular rate."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -12,6 +14,12 @@ from deepkoco.logs.recording import Recording, Series
 from deepkoco.systems import make_system
 
 SYSTEM = "pendulum"
+
+
+class Free(type(make_system(SYSTEM))):
+    """The pendulum, of which a log may show a free motion."""
+
+    commands = tuple(replace(c, default=0.0) for c in make_system(SYSTEM).commands)
 
 
 def log_with(stamps):
@@ -43,12 +51,32 @@ def test_steps_begin_at_commands_of_a_regular_rate(rate, begin, length):
     assert since == pytest.approx(np.round(since), abs=1e-3)
 
 
-@pytest.mark.parametrize("rate", [400.0, 500.0, 1000.0, 1200.0])
+@pytest.mark.parametrize("rate", [400.0, 500.0, 1000.0, 1200.0, 1580.0])
 def test_halved_steps_of_a_fast_loop_begin_at_every_command(rate):
+    """Up to about 1.6 kHz: a step of 10 ms holds 8 commands or more up to there, and is cut into 8 parts at most."""
     stamps = np.arange(round(4.0 * rate)) / rate
     windows = cut_windows([log_with(stamps)], make_system(SYSTEM), 1.0)
     finest = windows.step / MOST * rate  # periods of the loop
     assert 1.0 / finest == pytest.approx(round(1.0 / finest))
+
+
+def free_motion(shown):
+    """A log of a pendulum without a command, or with one that stays at its default."""
+    driven = log_with(np.arange(800) / 200.0)
+    command = Free.commands[0].name
+    held = {command: replace(driven.channels[command], value=np.zeros(800))} if shown else {}
+    channels = {n: s for n, s in driven.channels.items() if n != command} | held
+    return replace(driven, channels=channels)
+
+
+@pytest.mark.parametrize("shown", [False, True])
+def test_a_free_motion_leaves_the_steps_of_driven_logs_at_their_commands(shown):
+    system, driven = Free(), log_with(np.arange(800) / 125.0)
+    alone = cut_windows([driven], system, 1.0)
+    both = cut_windows([driven, free_motion(shown)], system, 1.0)
+    assert both.step == alone.step
+    assert both.t0[both.log == 0].tolist() == alone.t0.tolist()
+    assert (both.log == 1).sum() == 3  # of 4 s, without the time before which commands must be known
 
 
 def test_windows_of_irregular_commands_keep_their_length():

@@ -27,6 +27,11 @@ class CommandSeries:
     t: np.ndarray
     value: np.ndarray
 
+    @property
+    def changes(self) -> bool:
+        """Whether a command changes in this log; in that of a free motion none does."""
+        return bool((self.value != self.value[:1]).any())
+
     def column(self, index: int) -> np.ndarray:
         """(n,) values of one command."""
         return self.value if self.value.ndim == 1 else self.value[:, index]
