@@ -17,7 +17,7 @@ from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.simulate.push import Push
 from deepkoco.fit.solve.dispersion import dispersion
-from deepkoco.fit.solve.fine_steps import MOST, fine_steps, with_steps_cut
+from deepkoco.fit.solve.fine_steps import MOST, STEP_ROUNDS, fine_steps, with_steps_cut
 from deepkoco.fit.solve.gauges import Gauge, scale_gauges
 from deepkoco.fit.solve.lazy_batch import MANY
 from deepkoco.fit.solve.prior import Prior
@@ -30,7 +30,6 @@ from deepkoco.systems.effects.learned import is_weight
 
 OPEN = 0.1  # relative standard deviation of a prior from which it leaves a scale open
 FIXED = 1e-4  # and of one that fixes it
-STEP_ROUNDS = 2  # a fit can hide errors of its steps, which the next one shows
 LONG = 75  # iterations of a refit that starts far from its minimum
 FEW_WINDOWS = (
     20  # of a log, or half the number of parameters, that give a fit of many parameters its start values

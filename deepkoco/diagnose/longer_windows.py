@@ -14,7 +14,7 @@ from functools import partial
 
 from torch import Tensor
 
-from deepkoco.diagnose.baseline import LONG, STEP_ROUNDS
+from deepkoco.diagnose.baseline import LONG
 from deepkoco.diagnose.data import MIN_TRAINING_WINDOWS, Data, cut_data
 from deepkoco.diagnose.evidence.forward import Selection
 from deepkoco.diagnose.evidence.priors import prior_with
@@ -27,7 +27,7 @@ from deepkoco.diagnose.residuals.residuals import dispersion
 from deepkoco.diagnose.weighed import detection_of
 from deepkoco.diagnose.window_choice import FOLLOWS, left_out
 from deepkoco.fit.fit import Fit, FitProblem, Trial
-from deepkoco.fit.solve.fine_steps import MOST, fine_steps, with_steps_cut
+from deepkoco.fit.solve.fine_steps import MOST, STEP_ROUNDS, fine_steps, with_steps_cut
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 

@@ -1,16 +1,17 @@
 """A motor that turns under dry friction while commands come at 1 kHz: steps are cut until they begin at commands."""
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import pytest
 
 from deepkoco import Channel, Parameter, System
-from deepkoco.diagnose.baseline import STEP_ROUNDS
+from deepkoco.fit import fit as identify
 from deepkoco.fit.data.windows import cut_windows
 from deepkoco.fit.fit import FitProblem
 from deepkoco.fit.fit_types import Trial
-from deepkoco.fit.solve.fine_steps import fine_steps, with_steps_cut
+from deepkoco.fit.solve.fine_steps import STEP_ROUNDS, fine_steps, steps_to_compare, with_steps_cut
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.logs.recording import Recording, Series
 from deepkoco.systems import ExtendedSystem
@@ -77,6 +78,22 @@ def test_a_motor_at_1_khz_that_turns_is_simulated_as_exactly_as_its_encoder_show
         fit = fitted(system, windows)
     assert start.chi2 > 5.0 * windows.samples  # half of such a step differs little from it in some windows
     assert fit.chi2 < 1.1 * windows.samples
+
+
+def test_identify_cuts_the_steps_of_the_motor_until_they_are_fine_enough(log):
+    found = identify([log], Motor(), ["friction"])
+    friction = found.estimates["friction"]
+    assert found.dispersion.chi2_per_sample < 1.1
+    assert friction.low < FRICTION < friction.high
+
+
+def test_a_step_is_compared_with_the_finest_one_where_half_of_it_hides_its_error(log):
+    system = ExtendedSystem(Motor(), ())
+    windows = cut_windows([log], system, 1.5)
+    coarse = fitted(system, windows)
+    # The same parameters with fine steps reach it. By half a step, chi2 / n is (249^(1/2) - 159^(1/2))^2 = 10 at least.
+    better = replace(coarse, chi2=1.1 * windows.samples)
+    assert steps_to_compare(partial(FitProblem, system), windows, coarse, better) > 1
 
 
 def fitted(system, windows):

@@ -22,6 +22,9 @@ from deepkoco.fit.solve.dispersion import dispersion
 # Squared error over all samples, in variances of the noise: no cause can be named for less than it explains.
 UNSEEN = 24.0
 MOST = 8  # parts of a step
+STEP_ROUNDS = (
+    2  # of a fit and a choice of steps: a fit can hide errors of its steps, which the next one shows
+)
 
 
 def fine_steps(
@@ -62,22 +65,24 @@ def steps_to_compare(
     """Return into how many parts each integration step must be cut before a fit is known to be worse than another.
 
     A misfit is a distance, so an error of the simulation changes it by its own length at most. Steps that suit one
-    explanation need not suit another: a delay lets commands change within a step.
+    explanation need not suit another: a delay lets commands change within a step. As in :func:`fine_steps`, the error
+    of a step is its difference from the finest one.
 
     Args:
         problem_of: Gives the problem of such windows.
         windows: The windows.
         fit: A fit of them that is worse.
         better: A fit of them that is better.
-        most: Largest number of parts.
+        most: Largest number of parts, a power of two.
     """
-    parts, before = 1, _simulated(problem_of, windows, fit, 1)
+    parts, own = 1, _simulated(problem_of, windows, fit, 1)
+    finest = _simulated(problem_of, windows, fit, most)
     while parts < most:
-        finer = _simulated(problem_of, windows, fit, 2 * parts)
-        error = float((finer - before).square().sum())
+        error = float((finest - own).square().sum())
         if not error > UNSEEN or not fit.chi2**0.5 - error**0.5 < better.chi2**0.5:
             break
-        parts, before = 2 * parts, finer
+        parts *= 2
+        own = _simulated(problem_of, windows, fit, parts) if parts < most else finest
     return parts
 
 

@@ -14,7 +14,7 @@ from deepkoco.fit.fit import FitProblem
 from deepkoco.fit.fit_types import Fit, Trial
 from deepkoco.fit.request import FitRequest
 from deepkoco.fit.solve.cma import cma_es
-from deepkoco.fit.solve.fine_steps import fine_steps, with_steps_cut
+from deepkoco.fit.solve.fine_steps import MOST, STEP_ROUNDS, fine_steps, with_steps_cut
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.solve.residual_noise import with_sharp_noise
 
@@ -88,12 +88,14 @@ class LevenbergMarquardt:
         problem = request.problem()
         state, _ = problem.fit_states(first.values, first.state[::2])
         rough = run("whole windows", problem, _trial(request, first.values, state, first.nuisance))
-        windows = with_sharp_noise(request.windows, rough)
-        windows = with_steps_cut(windows, fine_steps(request.problem, windows, rough))
-        request = replace(request, windows=windows)
-        last = run(
-            "noise known", request.problem(), _trial(request, rough.values, rough.state, rough.nuisance)
-        )
+        windows, last, left = with_sharp_noise(request.windows, rough), rough, MOST
+        for stage in ("noise known", *["finer steps"] * (STEP_ROUNDS - 1)):
+            parts = fine_steps(request.problem, windows, last, left)
+            if parts == 1 and last is not rough:
+                break
+            windows, left = with_steps_cut(windows, parts), left // parts
+            request = replace(request, windows=windows)
+            last = run(stage, request.problem(), _trial(request, last.values, last.state, last.nuisance))
         simulations = lanes * sum(len(costs) for _, costs in stages)
         reason = "no step lowers the cost" if last.converged else "limit of iterations"
         return MethodResult(last, request, tuple(stages), simulations, last.converged, reason)
