@@ -1,5 +1,7 @@
 """Promises of the score test compared with full fits."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -55,7 +57,9 @@ def test_screen_promises_a_spring_whatever_its_centre():
     assert promised.promise == pytest.approx(reference.cost - fit.cost, rel=0.2)
 
 
-def test_starts_from_half_windows_are_near_the_true_size_although_the_refit_is_far_away():
+@pytest.fixture(scope="module")
+def weak():
+    """Problem, baseline and refit of a rod whose drive has lost half its strength, and the start of that cause."""
     base = make_system("rod_pendulum")
     windows = cut_windows(
         [hidden_log("rod_pendulum", {"gain": {"factor": 0.5}}, "steps", 20004, 10.0)], base, 1.6
@@ -65,15 +69,26 @@ def test_starts_from_half_windows_are_near_the_true_size_although_the_refit_is_f
     reference = refit(start, windows)
     problem = FitProblem(start.system, windows)
     given = {**reference.values, **{n: start.values[n] for n in start.prior.names}}
-    point = StartPoint(catalogue(base)["gain"], {}, 1.0)
+    return problem, start, reference, StartPoint(catalogue(base)["gain"], {}, 1.0), given
+
+
+def test_starts_from_half_windows_are_near_the_true_size_although_the_refit_is_far_away(weak):
+    problem, start, reference, point, given = weak
     (trial,) = from_halves(problem, start, (), [point], [given], reference)
     assert trial.values["gain.factor"] == pytest.approx(0.5, abs=0.03)
     # Initial states of whole windows, at which the simulation follows the log.
     assert trial.state is not None
     assert trial.state.shape == reference.state.shape
     fit = problem.fit([trial], 1)[0]
-    assert fit.chi2 < 1.1 * windows.samples
+    assert fit.chi2 < 1.1 * problem.windows.samples
     assert reference.cost > 3.0 * fit.cost
+
+
+def test_starts_from_half_windows_are_kept_where_the_refit_diverges_in_them(weak):
+    problem, start, reference, point, given = weak
+    lost = replace(reference, values={**reference.values, "quadratic.drag": -5.0})
+    assert "quadratic.drag" in reference.values
+    assert [t.name for t in from_halves(problem, start, (), [point], [given], lost)] == ["gain"]
 
 
 @pytest.mark.parametrize(

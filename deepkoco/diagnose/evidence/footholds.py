@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -91,10 +92,14 @@ def from_halves(
     causes = {p.cause.name: p.cause for p in points}
     trials = [trial_of(halves, start, accepted, causes[t.name], t.values, t.state, reference) for t in trials]
     fits = halves.fit(trials, SCOUTING, CLOSE)
-    _, costs = halves.fit_states(reference.values, halves.windows.state)
+    _, costs = halves.fit_states_each(
+        [reference.values], halves.windows.state[None], nuisance=reference.nuisance[None]
+    )
     before = float(costs.sum()) + reference.penalty
     won = before - min((fit.cost for fit in fits), default=before)
-    hopeful = [k for k, f in enumerate(fits) if not won > 0.0 or before - f.cost > PROMISING_SHARE * won]
+    # Where the reference diverges in a window, no fall of the cost can be told from another.
+    every = not 0.0 < won < math.inf
+    hopeful = [k for k, f in enumerate(fits) if every or before - f.cost > PROMISING_SHARE * won]
     going_on = [k for k in hopeful if not (fits[k].converged or fits[k].diverged)]
     again = halves.fit([trials[k].from_fit(fits[k]) for k in going_on], ITERATIONS - SCOUTING, CLOSE)
     for k, fit in zip(going_on, again, strict=True):

@@ -60,6 +60,22 @@ class UnitLoads:
         return UnitLoads(np.maximum(size, 0.0), responses @ ways)
 
 
+def misfit(loads: UnitLoads, residual: np.ndarray, amplitude: float) -> float:
+    """Return the squared residual (W, n) of all windows under missing loads; infinite where a simulation diverges.
+
+    Args:
+        loads: Responses to unit missing loads.
+        residual: (W, n) whitened residuals.
+        amplitude: Standard deviation of the missing loads.
+    """
+    with np.errstate(over="ignore"):
+        size = float(np.square(residual).sum())
+    if not np.isfinite(size):
+        return np.inf
+    nothing = np.zeros((*residual.shape, 0))
+    return float(WindowSums(nothing, nothing, loads, residual).products(amplitude).sum())
+
+
 class WindowSums:
     """Products of the columns of all windows, from which the Gram matrix at every amplitude follows.
 

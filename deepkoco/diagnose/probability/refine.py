@@ -17,7 +17,7 @@ from torch import Tensor
 from deepkoco.diagnose.evidence.priors import declared
 from deepkoco.diagnose.probability.coordinates import Catalogue, is_shape
 from deepkoco.diagnose.probability.explanations import Explanation
-from deepkoco.diagnose.probability.gram import UnitLoads, WindowSums
+from deepkoco.diagnose.probability.gram import UnitLoads, WindowSums, misfit
 from deepkoco.diagnose.probability.normal import Normal
 from deepkoco.diagnose.probability.unit import UnitPrior
 from deepkoco.fit.fit import Fit, FitProblem
@@ -285,9 +285,8 @@ def _raised(problem, fixed, refits, trials) -> set[int]:
         refit, (value, weights, _) = refits[k], trials[k]
         residual = ((problem.windows.value - own) * problem.weight).reshape(windows, -1).numpy()
         residual = residual - fixed.linear @ weights
-        nothing = np.zeros((*residual.shape, 0))
-        products = WindowSums(nothing, nothing, fixed.loads, residual).products(_amplitude(fixed, refit))
-        cost = float(products.sum()) + _prior(problem, fixed, refit, value, weights)[2]
+        left = misfit(fixed.loads, residual, _amplitude(fixed, refit))
+        cost = left + _prior(problem, fixed, refit, value, weights)[2]
         if not cost <= refit.cost:
             raised.add(k)
     return raised

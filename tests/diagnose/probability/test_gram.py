@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from deepkoco.diagnose.probability.gram import WindowSums
+from deepkoco.diagnose.probability.gram import UnitLoads, WindowSums, misfit
 from deepkoco.diagnose.probability.normal import Changes, Normal
 
 FLAT = 1e4  # standard deviation that stands for a flat prior
@@ -67,3 +67,20 @@ def test_a_column_that_no_healthy_unit_has_is_a_change_only():
     found = changes.log_nothing + changes.pull @ d - 0.5 * d @ changes.information @ d
     # A standard deviation of 0 keeps a coordinate at its mean.
     assert found == pytest.approx(dense(parts, 0.7, np.array([2.0, 0.0, 0.0, 0.1]), d), abs=1e-4)
+
+
+def test_the_misfit_of_a_residual_is_that_of_the_dense_covariance():
+    _, _, responses, residual = problem(5)
+    wanted = sum(
+        r @ np.linalg.solve(np.eye(len(r)) + 0.6**2 * R @ R.T, r)
+        for R, r in zip(responses, residual, strict=True)
+    )
+    assert misfit(UnitLoads.of(responses), residual, 0.6) == pytest.approx(wanted, rel=1e-9)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("size", [np.inf, np.nan, 1e200])
+def test_the_misfit_of_a_diverged_simulation_is_infinite(size):
+    _, _, responses, residual = problem(6)
+    residual[1, 5:] = size
+    assert misfit(UnitLoads.of(responses), residual, 0.6) == np.inf
