@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -16,7 +17,7 @@ from deepkoco.fit.data.usual_steps import with_usual_steps
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit_types import Fit
 from deepkoco.fit.simulate.push import Push, push_torque
-from deepkoco.fit.simulate.simulator import predict
+from deepkoco.fit.simulate.simulator import is_compiled, predict
 from deepkoco.fit.solve.encoder_zeros import EncoderZeros
 from deepkoco.fit.solve.nuisances import Nuisances
 from deepkoco.systems import ExtendedSystem, Parameter, System
@@ -25,6 +26,8 @@ from deepkoco.systems.effects.effect import PlacedEffect
 # Measurements that are simulated at once: what a batch reads and writes then stays in the cache, and the system need
 # not clear new memory for each.
 MEASUREMENTS = 1 << 21
+# As many times more where torch takes the steps: each operation of a step has a cost of its own, whatever its size.
+IN_TORCH = 8
 SENSING_RANGE = 0.1  # longest delay of one channel [s]
 
 
@@ -68,7 +71,12 @@ class ShootingProblem:
     @property
     def most_lanes(self) -> int:
         """Largest number of lanes that are simulated in one batch."""
-        return max(MEASUREMENTS // max(self.windows.value.numel(), 1), 1)
+        most = MEASUREMENTS * (1 if self._compiled else IN_TORCH)
+        return max(most // max(self.windows.value.numel(), 1), 1)
+
+    @cached_property
+    def _compiled(self) -> bool:
+        return is_compiled(self.system.base, self.windows.step)
 
     def predict(self, theta: np.ndarray, initial: Tensor, nuisance: Tensor) -> Tensor:
         """Simulate measurements (L, W, N, M) for L lanes of parameters (L, P), states (L, W, S), nuisances (L, z)."""

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from deepkoco.fit.data.per_log_differences import amounts, of_windows
 from deepkoco.fit.data.windows import Windows
-from deepkoco.fit.simulate.bytecode.along_windows import along_windows
+from deepkoco.fit.simulate.bytecode.along_windows import along_windows, has_program
 from deepkoco.fit.simulate.command_effort import command_efforts
 from deepkoco.fit.simulate.interpolation import states_at
 from deepkoco.fit.simulate.nodes import Nodes
@@ -47,6 +47,11 @@ def trajectories(
     nodes = integrate(system, windows, parameters, initial, push)
     states, left, right = (torch.stack(part, -1).transpose(1, 2) for part in nodes)
     return states, left, right
+
+
+def is_compiled(system: System, step: float) -> bool:
+    """Whether a compiled loop or bytecode takes the steps [s] of a system without effects; else torch does."""
+    return system.rollout(system.default_parameters()) is not None or has_program(system, step)
 
 
 def integrate(

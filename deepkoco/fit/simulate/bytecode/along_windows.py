@@ -125,16 +125,24 @@ def _of_lanes(given: StepsInput, first: int, last: int) -> StepsInput:
     )
 
 
+def has_program(system: System, step: float) -> bool:
+    """Whether the equations of a system can be traced, for an integration step [s]."""
+    return _program(system, [p.name for p in system.parameters], step, False) is not None
+
+
 def _known(system: System, values: Mapping[str, Tensor], given: StepsInput) -> Program | None:
+    return _program(system, values, given.step, given.loads is not None)
+
+
+def _program(system: System, names: Iterable[str], step: float, loaded: bool) -> Program | None:
     """The program of a system, traced at its first use and compared with torch; None where it has none."""
     base = system.base if isinstance(system, ExtendedSystem) else system
-    key = (_names(system), tuple(values), given.step, given.loads is not None)
+    key = (_names(system), tuple(names), step, loaded)
     known = _programs.setdefault(base, {})
     if key not in known:
-        loaded = given.loads is not None
         try:
-            program = program_of(system, tuple(values), given.step, loaded)
-            known[key] = program if _is_right(system, values, given.step, loaded, program) else None
+            program = program_of(system, key[1], step, loaded)
+            known[key] = program if _is_right(system, key[1], step, loaded, program) else None
         except (TraceError, RuntimeError, TypeError, ValueError, LookupError):
             # Equations of a user may do anything; torch runs them as they are, and says what is wrong with them.
             known[key] = None
