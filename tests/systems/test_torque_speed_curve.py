@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+from deepkoco import Channel, Parameter, System
 from deepkoco.systems import ExtendedSystem, make_system
 from deepkoco.systems.effects import effects_of
 from deepkoco.systems.motion import Motion
@@ -50,3 +51,26 @@ def test_it_belongs_to_joints_that_are_driven():
 def test_its_unit_is_one_over_the_no_load_speed_where_drives_deliver_loads():
     system = ExtendedSystem(make_system("servo_pendulum"), ("torque_speed_curve",))
     assert system.parameter("torque_speed_curve.droop").unit == "s/rad"
+
+
+class Wheel(System):
+    """A wheel of 1 kg m2 whose drive gives 4 N m at standstill for a duty of 1."""
+
+    joint_units = ("rad",)
+    parameters = (Parameter("strength", 4.0, "N m", 0.0, 10.0, 0.1, "torque of a duty of 1"),)
+    commands = (Channel("duty", "1", "command", -1.0, 1.0),)
+    measurements = (Channel("angle", "rad", "measurement", noise_sd=1e-3),)
+
+    def accelerations(self, p):
+        def law(motion):
+            return (p["strength"] * motion.efforts[0] + motion.load(0),)
+
+        return law
+
+
+def test_a_drive_with_another_unit_than_its_load_is_left_without_force_at_the_standstill_load_over_the_droop():
+    system = ExtendedSystem(Wheel(), ("torque_speed_curve",), {"torque_speed_curve.droop": 0.2})
+    law = system.accelerations(system.default_parameters())
+    assert system.parameter("torque_speed_curve.droop").unit != "s/rad"
+    for effort in (0.3, 1.0):
+        assert float(law(Motion(at(0.0), at(4.0 / 0.2), at(effort)))[0]) == pytest.approx(0.0, abs=1e-12)

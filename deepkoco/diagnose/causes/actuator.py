@@ -161,7 +161,8 @@ TORQUE_SPEED_CURVE = Cause(
     "actuator",
     ("droop",),
     "The drive has less force the faster it pushes its joint: the back EMF of a motor takes a share of its voltage.",
-    "Let the drive turn its joint freely at full command: it reaches the no-load speed, which is one over the droop.",
+    "Let the drive turn its joint freely at full command: it reaches the no-load speed. This is one over the droop "
+    "where effort and load have one unit, else the load at standstill of one unit of effort, over the droop.",
     "omega",
     lambda motion: -np.sign(motion.command) * np.maximum(motion.command * motion.omega, 0.0),
 )

@@ -1,14 +1,15 @@
 """A motor whose torque falls with the speed at which it pushes.
 
 The back EMF of a motor takes its share of the supply voltage, so a drive that pushes along the motion has less torque
-left the faster the joint turns; against the motion it has all of it. With the torque (or force) u that the drive would
-deliver at standstill and the speed v of its joint, it delivers
+left the faster the joint turns; against the motion it has all of it. With the drive's effort u, the load k u that it
+puts on the joint at standstill and the speed v of the joint, it delivers
 
-    u (1 - d |v|)  where u v > 0, and u elsewhere.
+    k u - d u |v|  where u v > 0, and k u elsewhere.
 
-1/d is the no-load speed: a free motor turns no faster, and one that is driven beyond it brakes. ``viscous`` friction
-takes the same torque whatever the drive does; this effect takes a share of what it does, and nothing of a joint that
-coasts or is braked.
+k/d is the no-load speed: a free motor turns no faster, and one that is driven beyond it brakes. Where effort and load
+have one unit, k is 1 and the no-load speed 1/d. Where the command is a voltage, a current or a share, k is the load that
+one of its units gives. ``viscous`` friction takes the same torque whatever the drive does; this effect takes a share of
+what it does, and nothing of a joint that coasts or is braked.
 
 Source: Siciliano, Sciavicco, Villani, Oriolo, Robotics: Modelling, Planning and Control (2009), section 5.2.1: torque
     and speed of an electric drive under voltage control.
