@@ -7,7 +7,7 @@ puts on the joint at standstill and the speed v of the joint, it delivers
     k u - d u |v|  where u v > 0, and k u elsewhere.
 
 k/d is the no-load speed: a free motor turns no faster, and one that is driven beyond it brakes. Where effort and load
-have one unit, k is 1 and the no-load speed 1/d. Where the command is a voltage, a current or a share, k is the load that
+have one unit, k is 1 and the no-load speed 1/d. Where the command is a voltage or a share of one, k is the load that
 one of its units gives. ``viscous`` friction takes the same torque whatever the drive does; this effect takes a share of
 what it does, and nothing of a joint that coasts or is braked.
 
