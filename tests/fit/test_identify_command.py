@@ -1,6 +1,7 @@
 """`deepkoco identify`: from a log on disk to a folder of results."""
 
 import json
+import shutil
 
 import pandas as pd
 import pytest
@@ -40,6 +41,18 @@ def test_identify_writes_a_folder_from_a_log(log, tmp_path, capsys):
         assert len(pd.read_csv(out / f"{name}.csv")) > 0
     assert main(["identify", *arguments]) == 2
     assert "exists" in capsys.readouterr().err
+
+
+def test_identify_says_what_was_assumed_of_its_logs(log, tmp_path, capsys):
+    given = pd.read_csv(log)
+    given.loc[[40, 41], given.columns[-1]] = None
+    given.to_csv(tmp_path / "steps.csv", index=False)
+    shutil.copy(log.with_suffix(".yaml"), tmp_path / "steps.yaml")
+    out = tmp_path / "found"
+    arguments = [str(tmp_path / "steps.csv"), "--parameters", "mass", "--fill", "drop", "--out", str(out)]
+    assert main(["identify", *arguments]) == 0
+    assert "assumed: " in capsys.readouterr().out
+    assert "missing samples left out" in json.loads((out / "identify.json").read_text())["warnings"][0]
 
 
 @pytest.mark.study
