@@ -16,6 +16,7 @@ OWN = {
     "coupled_joints",
     "default_parameters",
     "draw",
+    "free_commands",
     "load_units",
     "parameter",
     "per_speed_squared_units",

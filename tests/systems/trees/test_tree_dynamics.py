@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from deepkoco.systems.motion import Motion
 from deepkoco.systems.trees import TreeSystem
+from deepkoco.systems.trees.actuators import load_actuator
 from tests.studied import studied
 from tests.systems.trees.random_trees import columns, mujoco_accelerations, random_motions, random_tree
 
@@ -61,9 +62,10 @@ def rubbing(system: TreeSystem, seed: int) -> TreeSystem:
 
 
 def loose(system: TreeSystem) -> TreeSystem:
-    """The same robot without damping, springs and actuators: nothing in it is stiff."""
-    joints = [replace(joint, damping=0.0, stiffness=0.0) for joint in system.tree.joints]
-    return TreeSystem(replace(system.tree, joints=tuple(joints), actuators=()))
+    """The same robot without damping and springs, its actuators plain loads: nothing in it is stiff."""
+    joints = tuple(replace(joint, damping=0.0, stiffness=0.0) for joint in system.tree.joints)
+    plain = tuple(load_actuator(joint, j) for j, joint in enumerate(joints))
+    return TreeSystem(replace(system.tree, joints=joints, actuators=plain))
 
 
 @settings(max_examples=25, deadline=None)
@@ -157,7 +159,7 @@ def test_inverse_inertia_equals_mujocos(seed):
     system = loose(system)
     data = mujoco.MjData(model)
     angles = np.random.default_rng(seed).normal(size=(3, system.joints))
-    motion = Motion(columns(angles), columns(0.0 * angles), ())
+    motion = Motion(columns(angles), columns(0.0 * angles), columns(0.0 * angles))
     parameters = system.default_parameters()
     fast = system.inverse_inertia(parameters)(motion)
     slow = system.inverse_inertia({n: v.requires_grad_() for n, v in parameters.items()})(motion)
