@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import signal
 import sys
 import threading
 from pathlib import Path
@@ -56,6 +55,7 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         InputError: the file, a name or the address cannot be used.
     """
+    from deepkoco.graph.live.host import take_endings
     from deepkoco.graph.model.node import GraphError
     from deepkoco.graph.net.failure import ConnectionRefused
     from deepkoco.graph.net.graph_file import read_graph_file
@@ -80,7 +80,9 @@ def run(args: argparse.Namespace) -> int:
         )
         with RobotEnd(file.graph, nodes, args.listen, options, _say) as end:
             if threading.current_thread() is threading.main_thread():
-                signal.signal(signal.SIGTERM, lambda *_: end.close())  # how a service manager ends it
+                take_endings(
+                    lambda _: end.close()
+                )  # a service manager that ends it, or a terminal that closes
             end.serve(args.sessions)
     except (OwnObjectError, GraphError, ConnectionRefused) as error:
         raise InputError(str(error)) from error

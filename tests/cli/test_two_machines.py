@@ -2,7 +2,9 @@
 
 import contextlib
 import io
+import os
 import re
+import signal
 import socket
 import threading
 import time
@@ -61,6 +63,29 @@ def test_the_example_of_the_page_runs_over_two_ends(tmp_path, capsys):
     assert "2 episodes" in capsys.readouterr().out
     assert main(["merge", str(merged), str(record), "--out", str(tmp_path / "again.mcap")]) == 2
     assert "is merged already" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+def test_serve_ends_in_order_when_it_is_told_to(capsys, name):
+    number = getattr(signal, name, None)
+    if number is None or signal.getsignal(number) is signal.SIG_IGN:
+        pytest.skip(f"{name} does not exist here, or is ignored")
+    before = signal.getsignal(number)
+    end = threading.Thread(target=_signal_once_waiting, args=(capsys, number))
+    end.start()
+    try:
+        arguments = ["--nodes", "world,sensor", "--threads", "world,sensor", "--listen", "127.0.0.1:0"]
+        assert main(["serve", EXAMPLE, *arguments]) == 0
+    finally:
+        end.join()
+        signal.signal(number, before)
+
+
+def _signal_once_waiting(capsys, number):
+    until = time.monotonic() + 60.0
+    while "waiting at" not in capsys.readouterr().out and time.monotonic() < until:
+        time.sleep(0.05)
+    os.kill(os.getpid(), number)
 
 
 def refused(capsys, *arguments) -> str:

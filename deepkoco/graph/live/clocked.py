@@ -29,7 +29,7 @@ class ClockedInput:
         window, skip, blocking, fifo: as in the connection.
         phase, rate: of the sender [s, Hz].
         age: expected age of a message on arrival if it is to be buffered until then [s], else None.
-        silence: longest time from one message to the next [ns], after which the node must not run on; None: any.
+        silence: greatest age of the newest message [ns], after which the node must not run on; None: any.
     """
 
     window: int
@@ -118,18 +118,33 @@ class _Queue:
         self.window = [(seq, -1, -1) for seq in range(-rule.window, 0)]
         self.awaited = 0  # next message of a blocking input
         self.last = 0  # arrival of the last message [ns]
-        self.heard = False  # whether there was one
+        self.newest: int | None = None  # up to when the sender is known to live [ns]
 
     def arrive(self, message: Message, now: int) -> int:
-        received = max(now, message.due, self.last if self.rule.fifo else 0)
-        self.last, self.heard = received, True
+        """Keep a message.
+
+        Args:
+            message: what has come.
+            now: when it has come [ns], by the clock alone.
+
+        Returns:
+            When it counts as received [ns].
+        """
+        received = max(now, message.t_sent, message.due, self.last if self.rule.fifo else 0)
+        self.last = received
+        # On a path slower than the traffic old messages come without a pause, and no stamp of the sender's counts
+        # for more than the instant at which it is read.
+        known = min(now, message.t_sent)
+        self.newest = known if self.newest is None else max(self.newest, known)
         self.waiting[message.seq] = message.t_sent, received
         return received
 
     @property
     def expires(self) -> int | None:
         """When the silence is too long [ns]; None where it never is. Before the first message nothing is awaited."""
-        return self.last + self.rule.silence if self.heard and self.rule.silence is not None else None
+        if self.newest is None or self.rule.silence is None:
+            return None
+        return self.newest + self.rule.silence
 
     def there(self, seq: int, now: int) -> bool:
         received = self.waiting[seq][1]
@@ -285,7 +300,7 @@ class ClockedDriver(Driver):
         instant, messages = self.inbox.take()
         for message, stamp in messages:
             place = self.places[message.edge]
-            received = self._queues[place].arrive(message, max(self._time(stamp), message.t_sent))
+            received = self._queues[place].arrive(message, self._time(stamp))
             self._received[place].append((message.seq, message.t_sent, received))
             self.runner.put(place, message.seq, message.data)
         return self._time(instant)
@@ -305,10 +320,15 @@ class ClockedDriver(Driver):
         if now > expires:
             queue = self._queues[place]
             assert queue.rule.silence is not None
-            raise SilentInputError(
-                f"{self.runner.inputs[place].key}: no message for {(now - queue.last) / 1e6:.0f} ms, and "
-                f"{queue.rule.silence / 1e6:.0f} ms is the limit"
+            assert queue.newest is not None
+            limit = f"{queue.rule.silence / 1e6:.0f} ms is the limit"
+            age, pause = (now - queue.newest) / 1e6, (now - queue.last) / 1e6
+            what = (
+                f"no message for {age:.0f} ms"
+                if now - queue.last > queue.rule.silence
+                else (f"the newest message is {age:.0f} ms old, though one came {max(0.0, pause):.0f} ms ago")
             )
+            raise SilentInputError(f"{self.runner.inputs[place].key}: {what}, and {limit}")
         return expires
 
     def _arrival(self, awaited: list[int | None]) -> int | None:

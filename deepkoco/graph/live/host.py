@@ -160,7 +160,7 @@ def serve(
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the caller takes Ctrl-C and stops all
     ended: list[int] = []
-    signal.signal(signal.SIGTERM, lambda number, _: ended.append(number))
+    take_endings(lambda number: ended.append(number))
     torch.set_num_threads(1)
     gc.freeze()  # a full collection of what the fork brought would hold the nodes up for 0.1 s
     if plan.core is not None and hasattr(os, "sched_setaffinity"):
@@ -196,6 +196,19 @@ def serve(
         answers.tell(position, "record", seat.record())
     if any(seat.is_alive() for seat in seats.values()):
         os._exit(1)  # a step that does not return must not hold up the end
+
+
+def take_endings(end: Callable[[int], object]) -> None:
+    """Let what asks a process to end (SIGTERM), and its terminal that closes (SIGHUP), close its nodes first.
+
+    Args:
+        end: is called with the signal, in the main thread, and must not wait.
+    """
+    for name in ("SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)
+        # What `nohup` started is to outlive its terminal.
+        if number is not None and not (name == "SIGHUP" and signal.getsignal(number) is signal.SIG_IGN):
+            signal.signal(number, lambda number, _: end(number))
 
 
 def close_seats(seats: Mapping[int, Seat]) -> None:

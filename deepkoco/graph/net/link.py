@@ -40,7 +40,8 @@ class Link:
     """One end of the connection, served by a thread of its own.
 
     What is sent goes out at once as far as the system takes it, and the rest when it can. A network that takes nothing
-    for as long as `silence` has failed like one that brings nothing.
+    for as long as `silence` has failed like one that brings nothing, and so has one that needs longer than that for a
+    question and its answer: what comes over it all the time is old.
 
     Args:
         connection: connected, after the greeting.
@@ -74,6 +75,8 @@ class Link:
         self._silence, self._clock, self._exchanged, self._known = self._limits[0], clock, exchanged, known
         self._reader, self._pending, self._lock = FrameReader(), bytearray(), threading.Lock()
         self._taken = clock()  # when the system last took all or some of what was pending [ns]
+        self._watched: int | None = None  # since when an episode runs [ns]
+        self._looked = self._looked_before = self._taken  # the last looks at what has come [ns]
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self._run, name="link", daemon=True)
 
@@ -88,6 +91,10 @@ class Link:
 
     def watch(self, running: bool) -> None:
         """Say whether an episode runs, so that silence counts."""
+        if not running:
+            self._watched = None
+        elif self._watched is None:
+            self._watched = self._clock()
         self._silence = self._limits[running]
 
     def send(self, kind: Kind, body: bytes) -> None:
@@ -158,6 +165,7 @@ class Link:
             wait = max(0.0, (min(beat, heard + silence) - now) / 1e9)
             writing = [self._connection] if self._pending else []
             readable, writable, _ = select.select([self._connection], writing, [], wait)
+            self._looked_before, self._looked = self._looked, self._clock()
             if writable:
                 with self._lock:
                     self._flush()
@@ -175,7 +183,8 @@ class Link:
                 self.counts.bytes_received += len(data)
                 for one in self._reader.feed(data):
                     self.counts.frames_received += 1
-                    self._sort(one, now)
+                    if (late := self._sort(one, now)) is not None:
+                        return late
             elif self._pending and self._clock() > self._taken + silence:
                 return f"the network has taken nothing for {self._since(self._taken)} ms"
         return None
@@ -183,13 +192,16 @@ class Link:
     def _since(self, instant: int) -> int:
         return round((self._clock() - instant) / 1e6)
 
-    def _sort(self, one: Frame, now: int) -> None:
+    def _sort(self, one: Frame, now: int) -> str | None:
+        """Take a frame; return why the link must end, if it must."""
         if one.kind == Kind.PING and len(one.body) == PING.size:
             ping = Ping(*PING.unpack(one.body))
             self.far_correction = ping.correction, ping.uncertainty
             self.send(Kind.PONG, PONG.pack(ping.sent, now, self._clock()))
         elif one.kind == Kind.PONG and len(one.body) == PONG.size:
             pong = Pong(*PONG.unpack(one.body))
+            if (late := self._too_late(pong)) is not None:
+                return late
             exchange = Exchange(*pong, now)
             if self.exchanges is not None:
                 self.exchanges.append(exchange)
@@ -200,6 +212,21 @@ class Link:
             raise WireError(f"{Kind(one.kind).name} of {len(one.body)} bytes")
         else:
             self._take(one)
+        return None
+
+    def _too_late(self, pong: Pong) -> str | None:
+        """Return what is wrong with the age of an answer while an episode runs; None where nothing is."""
+        watched = self._watched
+        if watched is None:
+            return None  # a long record may be on its way
+        # It was not there at the look before this one; where this end slept since, nobody else is blamed.
+        took = self._looked_before - max(pong.sent, watched)
+        if took <= self._silence * 1e9:
+            return None
+        return (
+            f"a question and its answer took {took / 1e6:.0f} ms, and {self._silence * 1e3:.0f} ms is the limit: what "
+            "comes is old (a network slower than what goes over it)"
+        )
 
     def _ping(self, now: int) -> None:
         correction, uncertainty = (0, 0) if self._known is None else self._known()

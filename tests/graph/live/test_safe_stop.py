@@ -272,6 +272,20 @@ def test_ctrl_c_closes_the_nodes_and_leaves_the_record(tmp_path):
     assert len(runtime.finish().outputs["motor"]) >= 5
 
 
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+def test_a_process_that_is_told_to_end_closes_its_nodes(tmp_path, name):
+    number = getattr(signal, name, None)
+    if number is None or signal.getsignal(number) is signal.SIG_IGN:
+        pytest.skip(f"{name} does not exist here, or is ignored")
+    graph = devices(tmp_path)
+    runtime = ConcurrentRuntime(graph, processes={"motor": 1}, beat_limit=AMPLE)
+    runtime.reset({}, torch.Generator())
+    os.kill(int(graph.node("motor").marks("open")[0].split()[0]), number)
+    with pytest.raises(NodeFailure, match=r'node "motor".*its process has died \(exit status 0\)'):
+        runtime.run(act, 1_000_000)
+    assert [len(graph.node(name).marks("close")) for name in ("motor", "camera")] == [1, 1]
+
+
 SCRIPT = """
     import sys
     sys.path[:0] = {paths!r}

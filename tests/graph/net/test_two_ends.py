@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 from live_nodes import act, assert_same, loop
-from two_ends import Cable, Serving, leading, marks, motor_graph, push
+from two_ends import AMPLE, Cable, Serving, leading, marks, motor_graph, push
 
 from deepkoco.graph import read_episodes, replay_episode
 from deepkoco.graph.live import NodeFailure, message_times
@@ -156,7 +156,8 @@ def test_nothing_moves_again_by_itself_and_a_new_reset_connects_anew(tmp_path):
         runtime.reset({}, torch.Generator())
         runtime.run(push, 3)
         cable.cut()
-        while not marks(tmp_path, "close"):
+        until = time.monotonic() + AMPLE
+        while not marks(tmp_path, "close") and time.monotonic() < until:
             time.sleep(0.01)
         cable.mend()
         time.sleep(0.2)
