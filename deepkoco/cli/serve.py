@@ -53,8 +53,9 @@ def run(args: argparse.Namespace) -> int:
     """Serve until Ctrl-C.
 
     Raises:
-        InputError: the file, a name or the address cannot be used.
+        InputError: the file, a name, the address or the folder of the recordings cannot be used.
     """
+    from deepkoco.graph.episodes.storage.container import EpisodeFileError
     from deepkoco.graph.live.host import take_endings
     from deepkoco.graph.model.node import GraphError
     from deepkoco.graph.net.failure import ConnectionRefused
@@ -84,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
                     lambda _: end.close()
                 )  # a service manager that ends it, or a terminal that closes
             end.serve(args.sessions)
-    except (OwnObjectError, GraphError, ConnectionRefused) as error:
+    except (OwnObjectError, GraphError, ConnectionRefused, EpisodeFileError) as error:
         raise InputError(str(error)) from error
     return 0
 

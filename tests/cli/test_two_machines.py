@@ -99,6 +99,7 @@ def test_mistakes_are_one_line_that_says_what_to_do(tmp_path, capsys):
     assert "give more than 40 ms" in refused(capsys, *serve, "--silence", "30")
     assert "there is no file nowhere.py" in refused(capsys, "serve", "nowhere.py", "--nodes", "world")
     assert "give HOST:PORT" in refused(capsys, *serve, "--listen", "127.0.0.1:x")
+    assert "cannot be made" in refused(capsys, *serve, "--record", f"{EXAMPLE}/robot")
     nobody = f"127.0.0.1:{free_port()}"
     assert "start `deepkoco serve` there" in refused(capsys, "lead", EXAMPLE, "--to", nobody)
     assert "no such file" in refused(capsys, "merge", "a.mcap", "b.mcap", "--out", str(tmp_path / "c.mcap"))

@@ -13,7 +13,9 @@ from deepkoco.graph.model.graph import Graph
 from deepkoco.graph.net.failure import ConnectionRefused
 from deepkoco.graph.net.wire import GREETING, MAGIC, PROTOCOL, FrameReader, Kind, WireError, frame
 
-PATIENCE = 5.0  # what the other end gets to answer [s]
+PATIENCE = 5.0  # what the robot's end gets to answer [s]
+HELLO_PATIENCE = 1.5
+"""What who connects gets to say hello [s]; shorter, so that a leader behind one who says nothing is still heard."""
 PORT = 7411
 LONGEST_GREETING = 1 << 24  # bytes
 
@@ -46,7 +48,7 @@ def greet(connection: socket.socket, graph: Graph, session: str) -> dict[str, An
     hello = {"version": __version__, "graph": comparable(graph), "session": session, "pid": os.getpid()}
     connection.settimeout(PATIENCE)
     connection.sendall(GREETING.pack(MAGIC, PROTOCOL) + frame(Kind.HELLO, json.dumps(hello).encode()))
-    kind, content = _next(connection)
+    kind, content = _next(connection, PATIENCE)
     if kind == Kind.REFUSAL:
         raise ConnectionRefused(str(content.get("reason", "no reason given"))[:2000])
     if kind != Kind.WELCOME or not isinstance(content.get("nodes"), list):
@@ -63,8 +65,7 @@ def hear(connection: socket.socket, graph: Graph) -> dict[str, Any]:
     Raises:
         ConnectionRefused: it does not fit; it has been told.
     """
-    connection.settimeout(PATIENCE)
-    _, content = _next(connection)
+    _, content = _next(connection, HELLO_PATIENCE)
     try:
         _compare(content, graph)
     except ConnectionRefused as error:
@@ -123,13 +124,13 @@ def _difference(theirs: Any, ours: Any, path: str = "graph") -> str:
     return f"{path} is {str(theirs)[:80]} at the end that leads and {str(ours)[:80]} at the robot"
 
 
-def _next(connection: socket.socket) -> tuple[int, dict[str, Any]]:
-    """Read the first bytes and the first frame, and not a byte more.
+def _next(connection: socket.socket, patience: float = PATIENCE) -> tuple[int, dict[str, Any]]:
+    """Read the first bytes and the first frame, and not a byte more, within `patience` [s].
 
     Raises:
         ConnectionRefused: they are none of ours, or do not come.
     """
-    until = time.monotonic() + PATIENCE
+    until = time.monotonic() + patience
     try:
         magic, protocol = GREETING.unpack(_exactly(connection, GREETING.size, until))
         if magic != MAGIC:
@@ -150,9 +151,9 @@ def _next(connection: socket.socket) -> tuple[int, dict[str, Any]]:
         return one.kind, content
     except TimeoutError:
         raise ConnectionRefused(
-            f"the other end does not greet within {PATIENCE:g} s; is it `deepkoco serve`?"
+            f"the other end does not greet within {patience:g} s; is it `deepkoco serve`?"
         ) from None
-    except (WireError, ValueError) as error:
+    except (WireError, ValueError, RecursionError) as error:
         if isinstance(error, ConnectionRefused):
             raise
         raise ConnectionRefused(f"the other end's greeting cannot be read ({error})") from error

@@ -44,7 +44,7 @@ class Link:
     question and its answer: what comes over it all the time is old.
 
     Args:
-        connection: connected, after the greeting.
+        connection: connected; greeted when the link starts.
         take: is given what comes, other than signs of life, in the link's thread.
         lost: is told once why the link has ended, unless `close` ended it.
         silence: longest time without anything from the other end while an episode runs [s].
@@ -63,7 +63,6 @@ class Link:
         exchanged: Callable[[Offset, int], None] | None = None,
         known: Callable[[], tuple[int, int]] | None = None,
     ) -> None:
-        connection.setblocking(False)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self.counts, self.offsets = LinkCounts(), OffsetEstimator()
         self.far_correction = (0, 0)
@@ -82,6 +81,7 @@ class Link:
 
     def start(self) -> None:
         """Begin to listen and to show that this end lives."""
+        self._connection.setblocking(False)
         self._thread.start()
 
     @property

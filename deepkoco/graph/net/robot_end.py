@@ -1,12 +1,16 @@
 """The robot's end: it waits for who leads, runs its nodes for one session, and leaves them safe."""
 
 import errno
+import os
 import select
 import socket
 import threading
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
 from types import TracebackType
 
+from deepkoco.graph.episodes.storage.container import EpisodeFileError
 from deepkoco.graph.live.collection import exempt_present, include_again
 from deepkoco.graph.live.crew_plan import CrewOptions
 from deepkoco.graph.live.wallclock import own_processes
@@ -42,6 +46,7 @@ class RobotEnd:
 
     Raises:
         GraphError: a name is no node, or that of the supervisor.
+        EpisodeFileError: the folder of the recordings cannot be made or written to.
         ConnectionRefused: the address cannot be listened on; the message says why.
     """
 
@@ -80,6 +85,8 @@ class RobotEnd:
             self.options.record is not None,
             self._others,
         )
+        if self.options.record is not None:
+            _prepare(Path(self.options.record))
         self._listener = _listen(address)
         self._ended = threading.Event()
         self._sessions = 0
@@ -123,16 +130,36 @@ class RobotEnd:
         """Accept who connects and fits, if anybody does soon."""
         if not select.select([self._listener], [], [], _LOOK)[0]:
             return None
-        connection, peer = self._listener.accept()
+        if (accepted := self._accept()) is None:
+            return None
+        connection, peer = accepted
         try:
             hello = hear(connection, self.graph)
+            session = Session(
+                self.graph, self.crew_options, self.options, connection, peer, hello, self._sessions
+            )
+            connection.settimeout(_LOOK)
             welcome(connection, nodes=sorted(self.nodes))
-        except (ConnectionRefused, OSError) as error:
-            self._say(f"{peer[0]}:{peer[1]} refused: {error}")
+        except Exception as error:  # whoever connects, the robot goes on to wait for the next one
+            self._say(f"{peer} refused: {error}")
+            with suppress(OSError):
+                if not isinstance(error, ConnectionRefused):  # else it has been told, or is none of ours
+                    connection.settimeout(_LOOK)
+                    refuse(connection, f"the robot's end cannot begin a session: {error}")
             connection.close()
             return None
-        self._say(f"{peer[0]}:{peer[1]} leads")
-        return Session(self.graph, self.crew_options, self.options, connection, hello, self._sessions)
+        self._say(f"{peer} leads")
+        return session
+
+    def _accept(self) -> tuple[socket.socket, str] | None:
+        """Accept who connects; return the connection and a name for it, None where it is gone already."""
+        try:
+            connection, peer = self._listener.accept()
+        except OSError as error:
+            self._say(f"a connection cannot be accepted: {error.strerror or error}")
+            self._ended.wait(_LOOK)
+            return None
+        return connection, f"{peer[0]}:{peer[1]}"
 
     def _run(self, session: Session) -> None:
         thread = threading.Thread(target=session.run, name="session", daemon=True)
@@ -152,14 +179,26 @@ class RobotEnd:
 
     def _refuse_others(self) -> None:
         if select.select([self._listener], [], [], 0.0)[0]:
-            connection, peer = self._listener.accept()
-            self._say(f"{peer[0]}:{peer[1]} refused: a session is running")
-            try:
+            if (accepted := self._accept()) is None:
+                return
+            connection, peer = accepted
+            self._say(f"{peer} refused: a session is running")
+            with suppress(OSError):
                 connection.settimeout(_LOOK)
                 refuse(connection, "another machine leads this robot already; end that session first")
-            except OSError:
-                pass
             connection.close()
+
+
+def _prepare(folder: Path) -> None:
+    """Make the folder of the recordings: who finds out only when a leader is there has a robot and no record."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise EpisodeFileError(
+            f"{folder}: the folder of the recordings cannot be made: {error.strerror or error}"
+        ) from error
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise EpisodeFileError(f"{folder}: the folder of the recordings cannot be written to")
 
 
 def _listen(address: str) -> socket.socket:

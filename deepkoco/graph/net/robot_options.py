@@ -26,4 +26,4 @@ class RobotOptions:
     time_limit: float = 1.0
     beat_limit: float = 1.0
     silence: float = SILENCE
-    record: Path | None = None
+    record: str | Path | None = None

@@ -41,7 +41,8 @@ class Session(Away):
         graph: nodes and connections.
         options: where the nodes live.
         robot: silence and recording.
-        connection: greeted.
+        connection: where the other end has said hello.
+        name: of the other end, HOST:PORT.
         hello: what the other end said of itself.
         number: of the session, for the name of its recording.
     """
@@ -52,12 +53,12 @@ class Session(Away):
         options: CrewOptions,
         robot: RobotOptions,
         connection: socket.socket,
+        name: str,
         hello: dict[str, Any],
         number: int,
     ) -> None:
         self.graph, self.nodes, self._options, self._silence = graph, options.away, options, robot.silence
-        host, port = connection.getpeername()[:2]
-        self.name = f"{host}:{port}"
+        self.name = name
         self.meta = {
             "session": str(hello.get("session")),
             "end": "robot",
@@ -75,7 +76,7 @@ class Session(Away):
         self._episode = -1
         self._logs: dict[str, dict[str, Any]] = {}
         self._uncertain = 0  # the most, while an episode ran [ns]
-        self._recording = None if robot.record is None else _free_name(robot.record, number)
+        self._recording = None if robot.record is None else _free_name(Path(robot.record), number)
         self._recorder = None if self._recording is None else Recorder(graph, self._recording, self.meta)
         self._unwritten: EpisodeFileError | None = None
         self.link = Link(

@@ -1,15 +1,19 @@
 """Two ends that do not belong together say so, and what to do."""
 
 import contextlib
+import json
 import socket
+import struct
+import time
 
 import pytest
 import torch
-from two_ends import Serving, leading, motor_graph, push
+from two_ends import AMPLE, Serving, leading, motor_graph, push
 
 import deepkoco.graph.net.greeting as greeting
 from deepkoco.graph import GraphError
-from deepkoco.graph.net import ConnectionRefused, RobotEnd, connect
+from deepkoco.graph.episodes.storage.container import EpisodeFileError
+from deepkoco.graph.net import ConnectionRefused, RobotEnd, RobotOptions, connect
 from deepkoco.graph.net.greeting import split_address
 
 
@@ -70,6 +74,86 @@ def test_a_stranger_is_sent_away_and_the_robot_waits_on(tmp_path):
         assert "is no deepkoco" in serving.said[-1]
         with leading(motor_graph(tmp_path), serving.address) as runtime:
             runtime.reset({}, torch.Generator())
+
+
+def hello(graph) -> bytes:
+    said = {
+        "version": greeting.__version__,
+        "graph": greeting.comparable(graph),
+        "session": "0123",
+        "pid": 1,
+    }
+    return greeting.frame(greeting.Kind.HELLO, json.dumps(said).encode())
+
+
+def reset_at_once(connection, graph, start):
+    connection.sendall(start + hello(graph))
+    # Closing resets the connection, whatever the robot's end does with it just now.
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    connection.close()
+
+
+def nest_deeply(connection, graph, start):
+    connection.sendall(start + greeting.frame(greeting.Kind.HELLO, b"[" * 200_000))
+
+
+def say_nothing(connection, graph, start):
+    pass
+
+
+@pytest.mark.parametrize("guest", [reset_at_once, nest_deeply, say_nothing])
+def test_whoever_connects_the_robot_waits_on_for_a_leader(tmp_path, monkeypatch, guest):
+    monkeypatch.setattr(greeting, "HELLO_PATIENCE", 0.3)
+    monkeypatch.setattr(greeting, "PATIENCE", AMPLE)
+    graph = motor_graph(tmp_path)
+    start = greeting.GREETING.pack(greeting.MAGIC, greeting.PROTOCOL)
+    with Serving(motor_graph(tmp_path), ["motor"], sessions=None) as serving:
+        for _ in range(5 if guest is reset_at_once else 1):
+            with socket.create_connection(serving.address.split(":")) as connection:
+                guest(connection, graph, start)
+                until, away = time.monotonic() + AMPLE, None
+                while away is None and time.monotonic() < until:
+                    with contextlib.suppress(
+                        ConnectionRefused
+                    ):  # a session of the guest's may be about to end
+                        away = connect(graph, serving.address)
+            assert away is not None
+            away.close()
+
+
+def test_a_leader_waits_longer_than_one_who_says_nothing_may_take():
+    assert greeting.HELLO_PATIENCE < greeting.PATIENCE / 2
+
+
+def test_a_session_that_cannot_begin_is_refused_with_the_reason_and_the_next_one_begins(tmp_path):
+    folder = tmp_path / "robot"
+    with Serving(motor_graph(tmp_path), ["motor"], record=folder) as serving:
+        folder.rmdir()
+        folder.write_text("in the way")
+        with pytest.raises(ConnectionRefused, match=r"cannot begin a session: .*File exists"):
+            connect(motor_graph(tmp_path), serving.address)
+        folder.unlink()
+        with leading(motor_graph(tmp_path), serving.address) as runtime:
+            runtime.reset({}, torch.Generator())
+
+
+def test_the_folder_of_recordings_may_be_text_and_is_made_at_the_start(tmp_path):
+    folder = tmp_path / "of" / "robot"
+    with Serving(motor_graph(tmp_path), ["motor"], record=str(folder)) as serving:
+        assert folder.is_dir()
+        with leading(motor_graph(tmp_path), serving.address) as runtime:
+            runtime.reset({}, torch.Generator())
+            runtime.run(push, 3)
+            runtime.finish()
+        serving.thread.join(AMPLE)
+    assert (folder / "session_0000.mcap").exists()
+
+
+def test_a_folder_that_cannot_be_made_is_named_at_the_start(tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    options = RobotOptions(record=tmp_path / "file" / "robot")
+    with pytest.raises(EpisodeFileError, match="robot: the folder of the recordings cannot be made"):
+        RobotEnd(motor_graph(tmp_path), ["motor"], "127.0.0.1:0", options)
 
 
 def test_a_second_leader_is_refused_while_a_session_runs(tmp_path):
