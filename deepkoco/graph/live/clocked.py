@@ -323,11 +323,9 @@ class ClockedDriver(Driver):
             assert queue.newest is not None
             limit = f"{queue.rule.silence / 1e6:.0f} ms is the limit"
             age, pause = (now - queue.newest) / 1e6, (now - queue.last) / 1e6
-            what = (
-                f"no message for {age:.0f} ms"
-                if now - queue.last > queue.rule.silence
-                else (f"the newest message is {age:.0f} ms old, though one came {max(0.0, pause):.0f} ms ago")
-            )
+            what = f"no message for {age:.0f} ms"
+            if pause <= 1e3 / queue.rule.rate:  # they come at the rate of their sender, and are old
+                what = f"the newest message is {age:.0f} ms old, though one came {max(0.0, pause):.0f} ms ago"
             raise SilentInputError(f"{self.runner.inputs[place].key}: {what}, and {limit}")
         return expires
 
