@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from deepkoco.cli.input_error import InputError
+from deepkoco.cli.serve import seconds_of_silence
 
 if TYPE_CHECKING:
     from deepkoco.graph import Episode, Graph
@@ -59,12 +60,13 @@ def run(args: argparse.Namespace) -> int:
 
     if args.episodes < 1 or not args.seconds > 0:
         raise InputError(f"--episodes {args.episodes} of --seconds {args.seconds:g}: give more than 0")
+    silence = seconds_of_silence(args.silence)
     try:
         file = read_graph_file(args.graph)
         graph, policy, parameters = file.graph, file.policy(), file.parameters()
         steps = max(1, round(args.seconds * float(graph.node(graph.supervisor).rate)))
         generator = torch.Generator().manual_seed(args.seed)
-        away = connect(graph, args.to, args.silence / 1e3)
+        away = connect(graph, args.to, silence)
         own = frozenset(graph.index) - away.nodes - {graph.supervisor}
         record = True if args.record is None else args.record
         with WallClockRuntime(graph, factories=file.factories(own), record=record, away=away) as runtime:

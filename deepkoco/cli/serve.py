@@ -49,6 +49,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sessions", type=int, metavar="N", help="end after this many (default: no end)")
 
 
+def seconds_of_silence(milliseconds: float) -> float:
+    """Return a limit of silence in seconds.
+
+    Raises:
+        InputError: signs of life come too seldom for it.
+    """
+    from deepkoco.graph.net.link import BEAT_PERIOD
+
+    if not milliseconds > 2e3 * BEAT_PERIOD:
+        raise InputError(
+            f"--silence {milliseconds:g}: signs of life come every {1e3 * BEAT_PERIOD:g} ms; give more than "
+            f"{2e3 * BEAT_PERIOD:g} ms"
+        )
+    return milliseconds / 1e3
+
+
 def run(args: argparse.Namespace) -> int:
     """Serve until Ctrl-C.
 
@@ -60,23 +76,18 @@ def run(args: argparse.Namespace) -> int:
     from deepkoco.graph.model.node import GraphError
     from deepkoco.graph.net.failure import ConnectionRefused
     from deepkoco.graph.net.graph_file import read_graph_file
-    from deepkoco.graph.net.link import BEAT_PERIOD
     from deepkoco.graph.net.robot_end import RobotEnd, RobotOptions
     from deepkoco.own_objects import OwnObjectError
 
     nodes, threads = (tuple(filter(None, text.split(","))) for text in (args.nodes, args.threads))
-    if not args.silence > 2e3 * BEAT_PERIOD:
-        raise InputError(
-            f"--silence {args.silence:g}: signs of life come every {1e3 * BEAT_PERIOD:g} ms; give more than "
-            f"{2e3 * BEAT_PERIOD:g} ms"
-        )
+    silence = seconds_of_silence(args.silence)
     try:
         file = read_graph_file(args.graph)
         options = RobotOptions(
             threads=threads,
             factories=file.factories(set(nodes)),
             priority=args.priority,
-            silence=args.silence / 1e3,
+            silence=silence,
             record=args.record,
         )
         with RobotEnd(file.graph, nodes, args.listen, options, _say) as end:

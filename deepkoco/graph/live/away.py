@@ -59,3 +59,7 @@ class Away(ABC):
         Args:
             records: by node name, what was recorded here; who leads adds what the other machine still sends.
         """
+
+    @abstractmethod
+    def close(self) -> None:
+        """End the connection, where no crew will part from it; safe to call twice."""

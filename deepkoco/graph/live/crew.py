@@ -54,9 +54,13 @@ class Crew:
         self._failures: queue.SimpleQueue[NodeFailure] = queue.SimpleQueue()
         self._heard, self._bell = pipe_pair(False)
         self._start(self._plan.host_plans())
-        if away is not None:
-            away.start(self)
         atexit.register(self.stop)  # a caller who forgets to close must not leave a motor running
+        if away is not None:
+            try:
+                away.start(self)
+            except BaseException:
+                self.stop()
+                raise
 
     def tell(self, name: str, command: str, payload: Any = None) -> None:
         """Give a node an order."""

@@ -231,6 +231,8 @@ class LiveRuntime(ABC):
         running, self._running = self._running, None
         crew, self._crew = self._crew, None
         failure = None
+        if crew is None and self._away is not None:
+            self._away.close()  # a robot that no episode has begun with is held by its connection alone
         if crew is not None:
             crew.stop()
             failure = crew.failure or crew.unclosed

@@ -93,9 +93,16 @@ class WallClockRuntime(LiveRuntime):
         away: Away | None = None,
     ) -> None:
         elsewhere = frozenset() if away is None else away.nodes
-        hosts, cores = own_processes(graph, threads, elsewhere, pin)
-        options = CrewOptions(hosts, factories or {}, time_limit, beat_limit, cores, priority, away=elsewhere)
-        super().__init__(graph, options, 1.0, record, away)
+        try:
+            hosts, cores = own_processes(graph, threads, elsewhere, pin)
+            options = CrewOptions(
+                hosts, factories or {}, time_limit, beat_limit, cores, priority, away=elsewhere
+            )
+            super().__init__(graph, options, 1.0, record, away)
+        except BaseException:
+            if away is not None:
+                away.close()  # another end may lead the robot then
+            raise
 
     @property
     def priority_granted(self) -> bool:

@@ -4,6 +4,8 @@ import math
 from collections import deque
 from typing import NamedTuple
 
+from deepkoco.graph.net.wire import WireError
+
 DRIFT = 1e-4
 """How much faster than each other two clocks may run: quartz keeps 5e-5, and NTP bends less than that in the mean."""
 KEPT = 128  # exchanges that are looked at
@@ -77,12 +79,15 @@ class OffsetEstimator:
         """Take an exchange; return what is known by now.
 
         Raises:
+            WireError: it came before its question.
             ClockJumpError: it contradicts the others by more than `SMALL`.
         """
         low, high = self._bounds(exchange.received)
         wider = self._drift * (exchange.received - exchange.sent)
         own_low = exchange.far_sent - exchange.received - wider
         own_high = exchange.far_received - exchange.sent + wider
+        if own_low > own_high:
+            raise WireError("an answer to a question for the time took less than no time")
         gap = max(low - own_high, own_low - high)
         if gap > 0:
             self._exchanges.clear()

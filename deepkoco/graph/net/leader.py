@@ -103,7 +103,11 @@ class RobotNodes(Away):
     def farewell(self, records: dict[str, dict[str, Any]]) -> None:
         received = -1
         # A long record takes its time; one that does not come any further is given up.
-        while not self._parted.wait(FAREWELL) and self.link.counts.bytes_received > received + 1000:
+        while (
+            self.link.alive
+            and not self._parted.wait(FAREWELL)
+            and self.link.counts.bytes_received > received + 1000
+        ):
             received = self.link.counts.bytes_received
         records.update(self._records)
         self.close()

@@ -74,6 +74,8 @@ class Link:
         self._silence, self._clock, self._exchanged, self._known = self._limits[0], clock, exchanged, known
         self._reader, self._pending, self._lock = FrameReader(), bytearray(), threading.Lock()
         self._taken = clock()  # when the system last took all or some of what was pending [ns]
+        self._heard = self._taken  # when something last came [ns]
+        self._parting = False  # nothing more goes out
         self._watched: int | None = None  # since when an episode runs [ns]
         self._looked = self._looked_before = self._taken  # the last looks at what has come [ns]
         self._closed = threading.Event()
@@ -101,7 +103,7 @@ class Link:
         """Send a frame; where the link has ended it goes nowhere."""
         whole = frame(kind, body)
         with self._lock:
-            if self._closed.is_set():
+            if self._closed.is_set() or self._parting:
                 return
             if not self._pending:
                 self._taken = self._clock()
@@ -112,14 +114,30 @@ class Link:
     def close(self, patience: float = 0.0) -> None:
         """End the link; safe to call twice.
 
+        A connection that is closed with something unread is reset, and what is on its way to the other end is lost. So
+        this end first says that nothing more comes, and reads until the other end has closed.
+
         Args:
-            patience: how long what is pending may take to go out [s].
+            patience: how long the network may take nothing, and then the other end may stay silent [s].
         """
-        until = self._clock() + patience * 1e9
-        while self._pending and not self._closed.is_set() and self._clock() < until:
+        since, own = self._clock(), threading.current_thread() is self._thread
+        while (
+            self._pending
+            and not self._closed.is_set()
+            and self._since(max(since, self._taken)) < 1e3 * patience
+        ):
             time.sleep(0.001)
+        with self._lock:
+            parts = not (own or self._pending or self._closed.is_set() or self._parting)
+            self._parting = True
+        if parts and patience > 0.0 and self._thread.ident is not None:
+            with suppress(OSError):
+                self._connection.shutdown(socket.SHUT_WR)
+            since = self._clock()
+            while not self._closed.is_set() and self._since(max(since, self._heard)) < 1e3 * patience:
+                time.sleep(0.001)
         self._closed.set()
-        if threading.current_thread() is not self._thread and self._thread.ident is not None:
+        if not own and self._thread.ident is not None:
             self._thread.join()
         with self._lock:
             self._connection.close()
@@ -152,6 +170,8 @@ class Link:
             self._closed.set()
             with suppress(OSError):
                 self._connection.shutdown(socket.SHUT_RDWR)  # the other end is to hear of it at once
+            if self._parting:
+                return  # the other end has closed, as it was asked to
             self._lost(reason or "the connection was closed by the other end")
 
     def _serve(self) -> str | None:
@@ -179,7 +199,7 @@ class Link:
                     return None
                 now = self._clock()
                 self.counts.longest_silence = max(self.counts.longest_silence, (now - heard) / 1e9)
-                heard = now
+                self._heard = heard = now
                 self.counts.bytes_received += len(data)
                 for one in self._reader.feed(data):
                     self.counts.frames_received += 1

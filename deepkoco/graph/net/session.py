@@ -112,7 +112,7 @@ class Session(Away):
         finally:
             if crew is not None:
                 crew.stop()
-                self._failure = crew.failure or crew.unclosed
+                self._failure = crew.failure or self._failure or crew.unclosed
                 self._end_recording(crew)
             self.link.close(FAREWELL)
 
@@ -148,7 +148,12 @@ class Session(Away):
         raise WireError("orders come from the end that leads")
 
     def stop(self, failure: NodeFailure | None) -> None:
+        self.link.watch(False)  # a long record may be on its way
+        failure = failure or self._failure
         self.link.send(Kind.OVER, pack(failure_tree(None if self._wanted else failure)))
+
+    def close(self) -> None:
+        self.link.close()
 
     def farewell(self, records: dict[str, dict[str, Any]]) -> None:
         for name, record in records.items():

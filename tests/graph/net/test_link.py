@@ -42,6 +42,22 @@ def test_what_is_sent_comes_in_order_also_where_it_is_more_than_the_system_takes
     assert other.link.counts.bytes_received > 50_000_000
 
 
+def test_what_is_on_its_way_arrives_although_the_end_that_sent_it_closes():
+    """The other end takes it slowly, and its signs of life still come."""
+    client, server = pair()
+    one, other = End(client), End(server)
+    listen, size = other.link._take, 8_000_000
+    other.link._take = lambda frame: (time.sleep(0.05), listen(frame))
+    for number in range(8):
+        one.link.send(Kind.MESSAGE, bytes([number]) * (size // 8))
+    one.link.close(AMPLE)
+    for number in range(8):
+        assert other.frames.get(timeout=AMPLE).body == bytes([number]) * (size // 8)
+    assert other.reasons.get(timeout=AMPLE) == "the connection was closed by the other end"
+    assert one.reasons.empty()
+    other.link.close()
+
+
 def test_each_end_learns_how_far_the_other_clock_is_ahead():
     client, server = pair()
     one, other = End(client), End(server, clock=lambda: time.monotonic_ns() + 5 * 10**12)
