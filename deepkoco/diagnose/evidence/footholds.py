@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -18,9 +17,7 @@ from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.frozen_slopes import FrozenSlopes
 
 ITERATIONS = 14
-ALONE = 6  # iterations of a cause alone, which choose among its starts
-SCOUTING = 4  # iterations after which only the best start of each cause is continued
-PROMISING_SHARE = 0.3  # share of the best candidate's fall of the cost that a candidate needs by then
+ALONE = 6  # iterations of a cause alone, which only choose among starts
 CLOSE = 0.2  # fall of the cost per iteration below which a candidate has converged
 
 
@@ -51,19 +48,12 @@ def alone(
     """
     free = {p.cause.name: p.cause.free for p in points}
     own = [replace(t, free=tuple(free[t.name])) for t in trials]
-    first = iterations if known is not None else min(iterations, ALONE)
-    fits = problem.fit(own, first, CLOSE, known, exact=False, renewals=0)
-    best: dict[str, int] = {}
-    for k, fit in enumerate(fits):
-        if fit.name not in best or fit.cost < fits[best[fit.name]].cost:
-            best[fit.name] = k
-    going_on = [
-        k for k in best.values() if iterations > first and not (fits[k].converged or fits[k].diverged)
-    ]
-    again = problem.fit([own[k].from_fit(fits[k]) for k in going_on], iterations - first, CLOSE)
-    for k, fit in zip(going_on, again, strict=True):
-        fits[k] = fit
-    return [trials[k].from_fit(fits[k]) for k in best.values()]
+    fits = problem.fit(own, iterations, CLOSE, known, exact=False, renewals=0)
+    best: dict[str, tuple[Trial, Fit]] = {}
+    for trial, fit in zip(trials, fits, strict=True):
+        if trial.name not in best or fit.cost < best[trial.name][1].cost:
+            best[trial.name] = (trial, fit)
+    return [t.from_fit(fit) for t, fit in best.values()]
 
 
 def from_halves(
@@ -77,8 +67,7 @@ def from_halves(
     """Return trials that start from fits of windows of half the length, as the refit does.
 
     Where the refit finds no minimum, neither do most causes: a joint that sticks and slips shows many minima in a long
-    window. Each cause is fitted alone first, then with the baseline's parameters. A cause that is far behind the best
-    then does not start from here, because it would not become the winner.
+    window. Each cause is fitted alone first, then with the baseline's parameters.
     """
     halves = FitProblem(problem.system, halved(problem.windows))
     states, costs = halves.fit_states_each(values, halves.windows.state.repeat(len(values), 1, 1))
@@ -91,20 +80,8 @@ def from_halves(
     trials = alone(halves, trials, points)
     causes = {p.cause.name: p.cause for p in points}
     trials = [trial_of(halves, start, accepted, causes[t.name], t.values, t.state, reference) for t in trials]
-    fits = halves.fit(trials, SCOUTING, CLOSE)
-    _, costs = halves.fit_states_each(
-        [reference.values], halves.windows.state[None], nuisance=reference.nuisance[None]
-    )
-    before = float(costs.sum()) + reference.penalty
-    won = before - min((fit.cost for fit in fits), default=before)
-    # Where the reference diverges in a window, no fall of the cost can be told from another.
-    every = not 0.0 < won < math.inf
-    hopeful = [k for k, f in enumerate(fits) if every or before - f.cost > PROMISING_SHARE * won]
-    going_on = [k for k in hopeful if not (fits[k].converged or fits[k].diverged)]
-    again = halves.fit([trials[k].from_fit(fits[k]) for k in going_on], ITERATIONS - SCOUTING, CLOSE)
-    for k, fit in zip(going_on, again, strict=True):
-        fits[k] = fit
-    kept = [k for k in hopeful if not fits[k].diverged]
+    fits = halves.fit(trials, ITERATIONS, CLOSE)
+    kept = [k for k, fit in enumerate(fits) if not fit.diverged]
     found = [fits[k].values for k in kept]
     if not kept:
         return []

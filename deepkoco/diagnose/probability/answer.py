@@ -11,6 +11,7 @@ import numpy as np
 from deepkoco.diagnose.diagnosis import Estimate
 
 CREDIBLE = 0.95
+OTHER = 20.0  # nats behind a start that has not come to rest from which a stationary point is another minimum
 LISTED = 12  # explanations in report.json
 
 
@@ -51,10 +52,15 @@ class Answer:
 
     @staticmethod
     def of(found: Sequence[Weighed], tried: int, seconds: float) -> Answer:
-        """Normalise the weights; of equal sets of causes the best start counts, and stationary points count first."""
+        """Normalise the weights; of equal sets of causes the best start counts, and stationary points count first.
+
+        A stationary point that weighs far less than another start of its causes is a minimum of its own, not theirs.
+        """
         best: dict[tuple[str, ...], Weighed] = {}
-        for e in sorted(found, key=lambda e: (not e.stationary, -e.log_weight)):
-            best.setdefault(e.causes, e)
+        for e in sorted(found, key=lambda e: -e.log_weight):
+            top = best.setdefault(e.causes, e)
+            if e.stationary and not top.stationary and e.log_weight > top.log_weight - OTHER:
+                best[e.causes] = e
         ordered = sorted(best.values(), key=lambda e: -e.log_weight)
         log = np.array([e.log_weight for e in ordered])
         weight = np.exp(log - log.max())
