@@ -58,3 +58,10 @@ def test_the_credible_set_has_the_fewest_explanations_with_95_percent():
 def test_a_start_that_ended_at_no_stationary_point_gives_way_to_one_that_did():
     found = answer((("gain",), 5.0, False), (("gain",), 2.0, True), ((), 2.0, True))
     assert found.of_cause("gain") == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(("rest", "counts"), [(-60.0, -60.0), (-120.0, -57.0)])
+def test_a_start_at_rest_counts_first_unless_it_is_another_minimum_far_behind(rest, counts):
+    starts = [Weighed(("gain",), w, w == rest, (0.0, 0.0), {}) for w in (-57.0, -59.0, rest, rest - 1.0)]
+    for found in (starts, starts[::-1]):
+        assert [e.log_weight for e in Answer.of(found, 1, 0.0).explanations] == [counts]
