@@ -12,6 +12,7 @@ from deepkoco.graph.net.clock_offset import (
     OffsetEstimator,
     SteadyCorrection,
 )
+from deepkoco.graph.net.wire import WireError
 
 MS = 1_000_000
 delays = st.integers(0, 50 * MS)
@@ -21,6 +22,15 @@ def exchange(at: int, there: int, back: int, offset, busy: int = 0) -> Exchange:
     """An exchange that begins at an own time; `offset` tells how far the other clock is ahead then [ns]."""
     arrived, left = at + there, at + there + busy
     return Exchange(at, arrived + offset(arrived), left + offset(left), left + back)
+
+
+def test_an_answer_from_before_its_question_is_refused_and_leaves_what_is_known():
+    offsets = OffsetEstimator(drift=0.0)
+    known = offsets.add(Exchange(100, 1030, 1040, 130))
+    # The other end claims 40 between question and answer, of which 30 have passed here.
+    with pytest.raises(WireError, match="less than no time"):
+        offsets.add(Exchange(200, 1130, 1170, 230))
+    assert offsets.estimate == known
 
 
 def test_one_exchange_gives_the_middle_and_half_of_the_round_trip():
