@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
+from collections.abc import Collection
 from functools import cached_property
 
 import torch
@@ -96,6 +97,23 @@ class System(SignalPath, NamedJoints, Drawn, metaclass=Declared):
         efforts = (effort,) if len(self.commands) == 1 else effort.unbind(-1)
         accelerations = self.accelerations(parameters)(Motion(parts[: self.joints], speeds, efforts))
         return torch.stack(torch.broadcast_tensors(*speeds, *accelerations), -1)
+
+    def unseen_joints(self, channels: Collection[str]) -> list[str]:
+        """Names of the joints of which neither a measurement nor a command is among these channels of a log."""
+        measured = zip((c.name for c in self.measurements), self.measured_states, strict=True)
+        driven = zip((c.name for c in self.commands), self.command_joints, strict=False)
+        seen = {
+            state % self.joints for name, state in measured if name in channels and state < 2 * self.joints
+        }
+        seen |= {joint for name, joint in driven if name in channels}
+        return [name for joint, name in enumerate(self.joint_names) if joint not in seen]
+
+    def way_to_hold(self, channels: Collection[str]) -> str:
+        """End of a message on a log with only these channels: what to write where if its unseen joints stood still.
+
+        It is empty where every joint is seen, or where joints cannot be held.
+        """
+        return ""
 
     def with_payload(self, mass: Tensor, parameters: Parameters) -> Parameters:
         """Parameters after a point mass ``mass`` (...) [kg] is fixed to the tip.

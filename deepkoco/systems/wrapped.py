@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 from torch import Tensor
 
@@ -33,6 +35,9 @@ class WrappedSystem(System):
         self.dry_friction = base.dry_friction
         self.payload_sites, self.tip = base.payload_sites, base.tip
         self.force_sites = base.force_sites
+
+    def way_to_hold(self, channels: Collection[str]) -> str:
+        return self.base.way_to_hold(channels)
 
     @property
     def commands(self) -> tuple[Channel, ...]:

@@ -23,6 +23,7 @@ from tests.logs.test_lerobot import write_v21
             ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper"),
         ),
         (("0", "1", "2"), ("hip", "knee", "ankle")),
+        (("1", "2", "3"), ("hip", "knee", "ankle", "left_toe", "right_toe")),
         (("FL_hip_joint", "FL_thigh_joint", "FL_calf_joint"), ("FL_hip", "FL_thigh", "FL_calf")),
     ],
 )
@@ -206,3 +207,56 @@ def test_columns_that_are_in_the_unit_of_a_position_are_no_joints_beside_those_o
     frame = pd.DataFrame({"t": 0.01 * np.arange(600), **swings(*others, *words)})
     choices, _, _ = machine(tmp_path, MOTORS, frame)
     assert mapped(choices) == dict(zip(("q_first", "q_second", "m1", "m2"), words, strict=True))
+
+
+GRIPPER_ARM = """<mujoco model="picker">
+  <worldbody>
+    <body><joint name="waist" axis="0 0 1"/><geom size="0.05"/>
+      <body><joint name="elbow" axis="0 1 0"/><geom size="0.05" pos="0.2 0 0"/>
+        <body pos="0.3 0 0"><joint name="finger" type="slide"/><geom size="0.02"/></body>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <position joint="waist" kp="20" ctrlrange="-2 2"/>
+    <position joint="elbow" kp="20" ctrlrange="-2 2"/>
+    <position joint="finger" kp="20" ctrlrange="0 0.1"/>
+  </actuator>
+</mujoco>"""
+
+
+def write_picks(path):
+    """A log of numbered joints without the finger, beside the pose of a box that no joint moves."""
+    t = 0.05 * np.arange(400)
+    goals = [0.5 * np.sin(1.1 * t), 0.4 * np.sin(0.7 * t + 1.0)]
+    columns = {f"jpos{k}_rad": np.interp(t - 0.1, t, goal) for k, goal in enumerate(goals)}
+    columns |= {f"jpos_target{k}_rad": goal for k, goal in enumerate(goals)}
+    pd.DataFrame({"time_s": t, **columns, "box_x_m": 0.3 + 0.1 * np.sin(0.3 * t)}).to_csv(path, index=False)
+
+
+def test_numbered_joints_of_an_arm_leave_its_fingers_out(tmp_path):
+    (tmp_path / "picker.xml").write_text(GRIPPER_ARM)
+    write_picks(tmp_path / "a.csv")
+    survey = survey_log(open_log(tmp_path / "a.csv"))
+    fitting = propose(survey, load_system(tmp_path / "picker.xml"))
+    columns = {c.channel.name: c.column.name for c in fitting.proposal.choices if c.column is not None}
+    assert {k: v for k, v in columns.items() if k.startswith("q_")} == {
+        "q_waist": "jpos0_rad",
+        "q_elbow": "jpos1_rad",
+    }
+    assert fitting.doubt is not None
+    assert (
+        'if finger stood still, write held: ["finger"] into picker.parameters.yaml beside picker.xml'
+        in fitting.doubt
+    )
+
+
+def test_poses_of_other_things_are_no_doubt_of_an_arm_that_follows_its_goals(tmp_path):
+    (tmp_path / "picker.xml").write_text(GRIPPER_ARM)
+    (tmp_path / "picker.parameters.yaml").write_text('held: ["finger"]')
+    write_picks(tmp_path / "a.csv")
+    fitting = propose(survey_log(open_log(tmp_path / "a.csv")), load_system(tmp_path / "picker.xml"))
+    assert fitting.doubt is None
+    assert all(
+        choice.column.name != "box_x_m" for choice in fitting.proposal.choices if choice.column is not None
+    )

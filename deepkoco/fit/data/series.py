@@ -77,6 +77,7 @@ def channel_series(
         if command.name not in recording.channels and command.default is None:
             raise LogError(
                 f'{where}: the command "{command.name}" of {system.name} is missing; map it in the sidecar'
+                f"{system.way_to_hold(recording.channels)}"
             )
     for channel in (*system.commands, *system.measurements):
         logged = recording.channels.get(channel.name)

@@ -40,13 +40,20 @@ def misfit(system: System, proposal: Proposal, survey: Survey, samples: Mapping[
     """
     lacking = [c.channel.name for c in proposal.choices if c.column is None and _is_needed(c)]
     if lacking:
-        return f"the log has no column for {', '.join(lacking)}"
+        found = [c.channel.name for c in proposal.choices if c.column is not None]
+        return f"the log has no column for {', '.join(lacking)}{system.way_to_hold(found)}"
     left = _left_over(proposal, survey, samples)
-    if left:
+    if left and not _follows(system, proposal):
         return f"it has no joint for {', '.join(left[:4])}"
     # Small errors of a goal's stamps are large accelerations, so that the law of a servo is not compared.
     law = _lost_goal if _has_servo(system) else _wrong_law
     return law(system, proposal, samples)
+
+
+def _follows(system: System, proposal: Proposal) -> bool:
+    """Whether each joint follows its goal: what else moves is then a pose of the tip, or of an object beside it."""
+    relations = [joint.tracking for joint in proposal.joints]
+    return len(relations) == system.joints and all(r is not None and r.follows for r in relations)
 
 
 def _is_needed(choice: Choice) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -81,6 +81,10 @@ class FollowingSystem(System):
         )
 
     commands = property(lambda self: self.base.commands)
+
+    def way_to_hold(self, channels: Collection[str]) -> str:
+        return self.base.way_to_hold(channels)
+
     drives = property(lambda self: self.base.drives)
     delivered_scales = property(lambda self: self.base.delivered_scales)
     drive_parameters = property(lambda self: self.base.drive_parameters)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from fnmatch import fnmatchcase
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -70,10 +71,10 @@ def hold_joints(spec: Any, held: Mapping[str, float], kept: Collection[str] = ()
     return tuple(notes)
 
 
-def how_to_hold(joints: Sequence[str]) -> str:
-    """What a user writes where to hold joints."""
-    names = ", ".join(f'"{name}"' for name in joints)
-    return f"write held: [{names}] into ROBOT.parameters.yaml beside ROBOT.xml"
+def how_to_hold(joints: Sequence[str], file: str = "ROBOT.xml") -> str:
+    """What a user writes where to hold joints of a robot's file."""
+    names, path = ", ".join(f'"{name}"' for name in joints), Path(file)
+    return f"write held: [{names}] into {path.stem}.parameters.yaml beside {path.name}"
 
 
 def joint_name(joint: Any) -> str:

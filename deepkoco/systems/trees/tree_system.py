@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -35,6 +35,7 @@ from deepkoco.systems.trees.dynamics import inverse_mass, mass_matrix
 from deepkoco.systems.trees.equations import Numbers, Steadying, actuators_of_joints, equations_of_motion
 from deepkoco.systems.trees.fast import TreeArrays
 from deepkoco.systems.trees.geometry import geometry_parameters
+from deepkoco.systems.trees.held_joints import how_to_hold
 from deepkoco.systems.trees.loads import actuator_forces, clipped
 from deepkoco.systems.trees.model_file import read_model
 from deepkoco.systems.trees.outside_forces import force_name
@@ -141,6 +142,12 @@ class TreeSystem(System):
         return cls(replace(tree, notes=(*notes, *tree.notes)), str(path), settings)
 
     commands = property(lambda self: self._commands)
+
+    def way_to_hold(self, channels: Collection[str]) -> str:
+        unseen = self.unseen_joints(channels)
+        if self.origin is None or not unseen or len(unseen) == self.joints:
+            return ""
+        return f"; if {', '.join(unseen)} stood still, {how_to_hold(unseen, self.origin)}"
 
     @property
     def command_joints(self) -> tuple[int, ...]:

@@ -82,7 +82,8 @@ def log_joints(
 
     A column whose words say no role has the one that its unit says: ``A1[deg]`` is a position, ``M1[Nm]`` an effort.
     A column that is called as a joint of the model, ``tilt``, is a position where it has no unit. A unit alone speaks
-    less than words: where words name positions for all joints of the model, ``level[deg]`` is no joint.
+    less than words: where words name positions for all joints of the model, ``level[deg]`` is no joint. Nor is
+    ``box_x[m]`` where words name several joints, each with a goal or an effort, and nothing else is called ``box_x``.
 
     Args:
         columns: Those of the log.
@@ -106,7 +107,11 @@ def log_joints(
             found.setdefault(label, LogJoint(label)).columns.setdefault(role, column)
     result = [joint for joint in found.values() if "position" in joint.columns]
     named = [joint for joint in result if joint.label in said]
-    return named if joints and len(named) >= len(joints) else result
+    if joints and len(named) >= len(joints):
+        return named
+    if len(named) > 1 and all(len(joint.columns) > 1 for joint in named):
+        return [joint for joint in result if joint.label in said or len(joint.columns) > 1]
+    return result
 
 
 def _fits(column: ColumnSurvey, role: str | None, fitting: set[str]) -> bool:

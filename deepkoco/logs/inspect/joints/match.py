@@ -12,7 +12,7 @@ from scipy.optimize import linear_sum_assignment
 
 SAME = 8.0  # evidence of the same name [nats]
 WORD = 5.0  # evidence of the same words, in proportion to their share [nats]
-ORDER = 1.5  # evidence of the same place in the order, if there are as many joints [nats]
+ORDER = 1.5  # evidence of the same place in the order, of as many joints or of numbered ones [nats]
 NOTHING = 0.5  # evidence of a joint without a partner [nats]
 _ALIKE = (
     {"pan", "rotation", "yaw", "base", "waist", "swivel", "turn", "abduction", "haa"},
@@ -55,11 +55,10 @@ def match_joints(log: Sequence[str], model: Sequence[str]) -> list[Match]:
         model: names of the model's joints, in its order.
     """
     places = _places(log)
+    # Numbers count from the base outwards, and a log that lacks joints lacks those at the tip: fingers.
+    ordered = len(log) == len(model) or (len(log) < len(model) and all(name.isdecimal() for name in log))
     score = np.array(
-        [
-            [_score(places[i], a, j, b, len(log) == len(model)) for j, b in enumerate(model)]
-            for i, a in enumerate(log)
-        ]
+        [[_score(places[i], a, j, b, ordered) for j, b in enumerate(model)] for i, a in enumerate(log)]
     )
     if score.size == 0:
         return []
@@ -80,7 +79,7 @@ def match_joints(log: Sequence[str], model: Sequence[str]) -> list[Match]:
                 i,
                 j,
                 probability,
-                _reason(str(log[i]), str(model[j]), places[i] == j and len(log) == len(model)),
+                _reason(str(log[i]), str(model[j]), places[i] == j and ordered),
             )
         )
     return found
