@@ -69,6 +69,7 @@ def run(args: argparse.Namespace) -> int:
     from deepkoco.logs.inspect.survey import survey_log
     from deepkoco.logs.part import split_part
     from deepkoco.logs.recording import LogError
+    from deepkoco.logs.runs import split_run
     from deepkoco.logs.sidecar import find_sidecar
 
     for target in (args.out, args.plot):
@@ -78,7 +79,8 @@ def run(args: argparse.Namespace) -> int:
             raise InputError(f"{target}: the folder {target.parent} does not exist; create it first")
     try:
         whole, part = split_part(args.log)
-        if part is not None:
+        whole, number = split_run(whole)
+        if part is not None or number is not None:
             raise InputError(f"{args.log}: inspect looks at whole logs; give {whole}")
         paths = found_recordings([args.log], args.episodes)
         found = survey_log(open_log(paths[0]))
@@ -90,7 +92,7 @@ def run(args: argparse.Namespace) -> int:
     propose = not mapped or args.system is not None or args.out is not None
     fitting, refusal = _fitting(found, others, args.system) if propose else (None, None)
     proposal = None if fitting is None else fitting.proposal
-    recording, problem = _read(args) if mapped else (None, None)
+    recording, problem = _read(args, found.runs) if mapped else (None, None)
     if args.out is not None and fitting is not None:
         _write_mapping(args.out, found, fitting, args.system)
     if args.plot is not None:
@@ -120,13 +122,16 @@ def _fitting(found: Survey, others: list[Survey], system: str | None) -> tuple[F
         return None, str(error)
 
 
-def _read(args: argparse.Namespace) -> tuple[Recording | None, str | None]:
-    """The mapped log, and the problem that forbids its use; None for a log or problem that does not exist."""
+def _read(args: argparse.Namespace, runs: int) -> tuple[Recording | None, str | None]:
+    """The mapped log, its first one of several runs, and the problem that forbids its use; None for what is not."""
     from deepkoco.logs.recording import LogError, read_log
+    from deepkoco.logs.runs import MARK
+
+    log = args.log if runs == 1 else args.log.with_name(f"{args.log.name}{MARK}0")
 
     def read(implausible: bool) -> Recording:
         return read_log(
-            args.log,
+            log,
             args.map,
             fill=args.fill,
             min_samples=2,
@@ -163,7 +168,7 @@ def _write_mapping(path: Path, found: Survey, fitting: Fitting, system: str | No
             meta[f"{key} not known"] = unknown
     if found.log.facts:
         meta["facts"] = dict(found.log.facts)
-    text = dump_sidecar(fitting.proposal.system, mapping_of(found, fitting.proposal), meta, found.where)
+    text = dump_sidecar(fitting.proposal.system, mapping_of(found, fitting.proposal), meta)
     try:
         write_whole_text(path, text)
     except OSError as error:

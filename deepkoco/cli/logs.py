@@ -30,42 +30,43 @@ def read_logs(
         LogError: A log cannot be read.
     """
     from deepkoco.logs.formats.recordings import recordings as found_recordings
-    from deepkoco.logs.recording import read_log
-    from deepkoco.systems import UnknownSystemError, load_system, system_names
+    from deepkoco.logs.read_logs import read_logs as logs_of
 
     episodes = getattr(args, "episodes", None)
-    name = args.system
-    if system is None and name is not None:
-        system = named_system(name)
-    recordings = []
+    if system is None and args.system is not None:
+        system = named_system(args.system)
+    recordings: list[Recording] = []
     for path in found_recordings(paths, episodes):
         if system is None:
-            said = read_log(path, args.map, fill=args.fill).system
-            if said is None:
-                raise InputError(
-                    f"{path}: the sidecar does not name the system; give --system: {OWN_SYSTEM}, or one of "
-                    f"{', '.join(system_names())}"
-                )
-            try:
-                system = load_system(said, (path.parent, Path()))
-            except UnknownSystemError as error:
-                raise InputError(
-                    f"{path}: the system of the sidecar: {error}; give --system for one of your own: {OWN_SYSTEM}"
-                ) from error
-        channels = [(c.name, c.unit, c.kind) for c in (*system.commands, *system.measurements)]
-        recordings.append(
-            read_log(
-                path,
-                args.map,
-                system.name,
-                channels=channels,
-                pairs=system.speeds_of_positions,
-                fill=args.fill,
-                defaults=system.free_commands,
-            )
-        )
+            system = _system_of(path, args)
+        recordings += logs_of(path, system, mapping=args.map, episodes=episodes, fill=args.fill)
     assert system is not None or not paths
     return system, recordings  # type: ignore[return-value]
+
+
+def _system_of(path: Path, args: argparse.Namespace) -> System:
+    """The system that the sidecar of a log names.
+
+    Raises:
+        InputError: It names none, or an unknown one.
+        LogError: The log cannot be read.
+    """
+    from deepkoco.logs.recording import read_log
+    from deepkoco.logs.runs import read_runs
+    from deepkoco.systems import UnknownSystemError, load_system, system_names
+
+    said = read_runs(path, lambda run: read_log(run, args.map, fill=args.fill))[0].system
+    if said is None:
+        raise InputError(
+            f"{path}: the sidecar does not name the system; give --system: {OWN_SYSTEM}, or one of "
+            f"{', '.join(system_names())}"
+        )
+    try:
+        return load_system(said, (path.parent, Path()))
+    except UnknownSystemError as error:
+        raise InputError(
+            f"{path}: the system of the sidecar: {error}; give --system for one of your own: {OWN_SYSTEM}"
+        ) from error
 
 
 def add_episodes(parser: argparse.ArgumentParser) -> None:
@@ -74,7 +75,8 @@ def add_episodes(parser: argparse.ArgumentParser) -> None:
         "--episodes",
         type=_episodes,
         metavar="LIST",
-        help="episodes to take of LeRobot datasets, such as 0-4,7; default: all",
+        help="episodes to take of LeRobot datasets, and runs of logs whose clock begins again, such as 0-4,7; "
+        "default: all",
     )
 
 
@@ -87,13 +89,16 @@ def result_folder(out: Path | None, first: Path, suffix: str) -> Path:
         WriteError: The disk is full, or the place cannot be written.
     """
     from deepkoco.logs.part import seconds, split_part
+    from deepkoco.logs.runs import split_run
     from deepkoco.output.new_folder import check_new
 
     whole, part = split_part(first)
+    whole, number = split_run(whole)
     place = whole if whole.stem else whole.resolve()
+    chosen = "" if number is None else f"_run_{number}"
     ends = () if part is None else zip(("from", "to"), part, strict=True)
     cut = "".join(f"_{word}_{seconds(t)}_s" for word, t in ends if math.isfinite(t))
-    folder = place.with_name(f"{place.stem}{cut}{suffix}") if out is None else out
+    folder = place.with_name(f"{place.stem}{chosen}{cut}{suffix}") if out is None else out
     check_new(folder)
     return folder
 

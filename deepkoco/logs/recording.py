@@ -23,6 +23,8 @@ from deepkoco.logs.formats import LogFile, open_log
 from deepkoco.logs.formats.log_file import HEADER, LogError
 from deepkoco.logs.formats.recordings import is_recording, one_recording
 from deepkoco.logs.part import named_part, split_part
+from deepkoco.logs.runs import MARK as RUN
+from deepkoco.logs.runs import split_run
 from deepkoco.logs.series import ChannelReader, Series
 from deepkoco.logs.sidecar import (
     KINDS,
@@ -115,7 +117,8 @@ def read_log(
 
     Args:
         path: the log, in a format that `open_log` reads; a folder that contains one recording stands for it. A part
-            of it is `log.csv#t=2,7.5` (:func:`.split_part`), in seconds of the log as it is read.
+            of it is `log.csv#t=2,7.5` (:func:`.split_part`), in seconds of the log as it is read. A run of a log whose
+            clock begins again is `log.csv#run=2` (:func:`.split_run`), a part of it `log.csv#run=2#t=1,5`.
         mapping: content or path of the sidecar; None takes `path` with the suffix `.yaml`, else the sidecar of its
             folder. Without any, columns that have the names of `channels` are taken in SI units.
         system: name of the system of the log; None takes the name in the sidecar.
@@ -135,6 +138,7 @@ def read_log(
         LogError: the log cannot be used; the message names file, column and what to do.
     """
     whole, part = split_part(path)
+    whole, run = split_run(whole)
     path = one_recording(whole)
     if fill is not None and fill not in FILLS:
         raise LogError(f'fill "{fill}" is none of {", ".join(FILLS)}')
@@ -148,7 +152,8 @@ def read_log(
     sidecar = load_sidecar(path, mapping)
     name = _check_system(sidecar, system, systems)
     targets = _target_units(sidecar, specs, defaults is not None)
-    readers = _readers(path, sidecar, fill)
+    readers = _readers(path, sidecar, fill, run)
+    path = path if run is None else path.with_name(f"{path.name}{RUN}{run}")
     if allow_implausible:
         sidecar = replace(
             sidecar, channels={n: replace(c, checked=True) for n, c in sidecar.channels.items()}
@@ -221,7 +226,9 @@ def _from_zero(series: dict[str, Series]) -> tuple[dict[str, Series], str | None
     return moved, f"times count from {date} UTC, which is {origin} s in the log"
 
 
-def _readers(path: Path, sidecar: Sidecar, fill: str | None) -> dict[str | None, ChannelReader]:
+def _readers(
+    path: Path, sidecar: Sidecar, fill: str | None, run: int | None
+) -> dict[str | None, ChannelReader]:
     """Make one reader per file of the channels; times count from the origin of the first file."""
     files: dict[str | None, dict[str, set[str]]] = {}
     for column in sidecar.channels.values():
@@ -233,7 +240,7 @@ def _readers(path: Path, sidecar: Sidecar, fill: str | None) -> dict[str | None,
     }
     origin = next(iter(logs.values())).origin_ns
     _check_where(path, sidecar, logs.values())
-    return {file: ChannelReader(log, sidecar.where, origin, fill) for file, log in logs.items()}
+    return {file: ChannelReader(log, sidecar.where, origin, fill, run) for file, log in logs.items()}
 
 
 def _at(series: Mapping[str, Series], defaults: Mapping[str, float]) -> bool:

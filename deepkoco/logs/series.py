@@ -10,13 +10,13 @@ import numpy as np
 
 from deepkoco.logs.formats.log_file import LogError, LogFile, iso_seconds
 from deepkoco.logs.own_rows import has_own_rows, values_present
+from deepkoco.logs.runs import MARK, RestartError, runs_of
 from deepkoco.logs.sidecar import ISO, KINDS, ChannelColumn, Column
 from deepkoco.logs.units import UnitError, factor_between, parse_unit
 
 FAR = 5.0  # values farther than this many ranges from the others are taken as missing
 # Commands: a controller that holds still answers a new goal or a push with many times what it usually sends.
 FAR_COMMAND = 50.0
-FAR_BACK = 20.0  # usual steps by which a clock goes back that begins again
 JUMP = 0.5  # step to or from a far value, relative to its distance from the others, from which it is a jump
 GAPLESS = 1.5  # values whose distances grow by at most this factor go on from each other
 FEWEST_IN_ROW = 10  # far values that may go on from the others; fewer are glitches
@@ -66,10 +66,18 @@ class ChannelReader:
         where: column -> value of the rows to read; other rows are left out.
         origin_ns: origin of the times [ns since 1970].
         fill: rule for missing values: None raises, "drop" leaves the sample out, "hold" repeats the previous one.
+        run: number of the run to read of a log whose clock begins again; None for a log of one run.
     """
 
-    def __init__(self, log: LogFile, where: Mapping[str, float], origin_ns: int, fill: str | None) -> None:
-        self.log, self.where, self.fill = log, where, fill
+    def __init__(
+        self,
+        log: LogFile,
+        where: Mapping[str, float],
+        origin_ns: int,
+        fill: str | None,
+        run: int | None = None,
+    ) -> None:
+        self.log, self.where, self.fill, self.run = log, where, fill, run
         self.shift = (log.origin_ns - origin_ns) / 1e9
         self.notes: list[str] = []
         self._own_rows = ""
@@ -86,6 +94,9 @@ class ChannelReader:
                 _check_header(self.log, part)
         row = self._rows(channel)
         time = self._times(channel.topic, stamp)[row]
+        if self.run is not None:
+            row = row[self._in_run(time)]
+            time = self._times(channel.topic, stamp)[row]
         unit = factor_between(channel.value.unit, target)
         scale, zero = channel.scale * unit, channel.offset * unit
         with np.errstate(over="ignore"):
@@ -149,6 +160,14 @@ class ChannelReader:
                     )
         return np.flatnonzero(keep)
 
+    def _in_run(self, time: np.ndarray) -> np.ndarray:
+        runs = runs_of(time)
+        runs = np.zeros(len(time), dtype=int) if runs is None else runs
+        count = int(runs[-1]) + 1 if len(runs) else 0
+        if self.run is not None and self.run >= count:
+            raise LogError(f"{self.log.path}: has no run {self.run}; it has {count}, and runs count from 0")
+        return runs == self.run
+
     def _times(self, topic: str, stamp: Column) -> np.ndarray:
         if stamp.unit == ISO:
             seconds = iso_seconds(self.log, topic, stamp.name)
@@ -210,32 +229,21 @@ class ChannelReader:
             )
         keep = np.flatnonzero(~again)
         step = np.append(np.inf, np.diff(time[keep]))
-        back, usual = step < 0, step[1:][step[1:] > 0]
-        # A writer that mixes up rows is late by some rows; a clock that begins again goes back further.
-        restarts = (
-            back.any() and len(usual) > 0 and float((-step[back]).min()) > FAR_BACK * float(np.median(usual))
-        )
-        advice = (
-            f"the clock begins again there: write each of the {int(back.sum()) + 1} parts into a file of its own, "
-            "under the same header, and give all of them"
-            if restarts
-            else "sort or split the log"
-        ) + self._episodes(channel.topic, row[keep][back])
+        back = step < 0
         before = f"earlier than the {self.log.row_name.split()[-1]} before"
-        self._refuse(channel, stamp, row[keep], back, before, advice)
+        runs = runs_of(time[keep])
+        if runs is not None:
+            count, name = int(runs[-1]) + 1, self.log.path.name
+            raise RestartError(
+                f'{self.log.file(channel.topic)}: column "{stamp.name}": the clock begins again at '
+                f"{self.log.rows(channel.topic, row[keep][back])}: the log has {count} runs; give one of them, "
+                f"{name}{MARK}0 to {name}{MARK}{count - 1}",
+                count,
+            )
+        self._refuse(channel, stamp, row[keep], back, before, "sort or split the log")
         again = "with a duplicate time stamp"
         self._refuse(channel, stamp, row[keep], step == 0, again, "keep one row per stamp")
         return keep
-
-    def _episodes(self, topic: str, resets: np.ndarray) -> str:
-        """Advice that names a column which counts the stretches between resets of the clock."""
-        if not len(resets):
-            return ""
-        name = counting_column(self.log, topic, resets)
-        if name is None:
-            return ""
-        first = self.log.values(topic, name)[0]
-        return f'; the column "{name}" counts its parts: write "where: {{{name}: {first:g}}}" to select one'
 
     def _refuse(
         self, channel: ChannelColumn, column: Column, row: np.ndarray, bad: np.ndarray, what: str, advice: str

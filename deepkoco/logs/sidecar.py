@@ -139,15 +139,12 @@ def dump_sidecar(
     system: str | None,
     channels: Mapping[str, ChannelColumn],
     meta: Mapping[str, Any],
-    where: Mapping[str, float] | None = None,
 ) -> str:
     """Write the content of a sidecar as YAML; the first channel's time column is the common one."""
     common = next(iter(channels.values())).time
     content: dict[str, Any] = {"system": system} if system else {}
     if common is not None:
         content["time"] = _time_entry(common)
-    if where:
-        content["where"] = dict(where)
     content["channels"] = {}
     for name, channel in channels.items():
         entry: dict[str, Any] = {"file": channel.file} if channel.file else {}

@@ -134,7 +134,7 @@ def test_survey_counts_gaps_resets_bursts_duplicates_and_constants(tmp_path, mot
     found, proposal, _ = proposed(tmp_path / "log.csv", frame)
     clock = found.clocks[""][0]
     assert (clock.gaps, clock.duplicates, clock.resets, clock.counter) == (2, 1, (250,), "run")
-    assert found.where == {"run": 0.0}
+    assert found.runs == 2
     columns = {c.name: c for c in found.columns}
     omega = columns["omega"]
     assert (omega.missing, omega.bursts, omega.longest_burst) == (4, 2, 3)
@@ -144,7 +144,7 @@ def test_survey_counts_gaps_resets_bursts_duplicates_and_constants(tmp_path, mot
     text = " ".join(doubts_of(found, proposal))
     for part in (
         "decreases at line 252",
-        "where: {run: 0}",
+        'the log has 2 runs, which the column "run" counts',
         "repeats a stamp 1 times",
         '"dead" never changes',
     ):

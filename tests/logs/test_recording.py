@@ -188,7 +188,7 @@ BAD_TABLES = {
     ),
     "beginning again": (
         pd.concat([table(), table()]),
-        r"earlier than the row before, .*the clock begins again there: write each of the 2 parts into a file",
+        r"the clock begins again at line 102: the log has 2 runs; give one of them, log.csv#run=0 to log.csv#run=1",
     ),
     "text": (frame_with("theta", [3], "12 deg"), r'column "theta": "12 deg" at line 5 is no number'),
     "too few": (table(10), r'channel "theta" is too short: 10 samples, at least 20'),

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from deepkoco.logs.checks.derivative import Relation, relate, slip
-from deepkoco.logs.formats.log_file import LogError
+from deepkoco.logs.formats.log_file import LogError, TooShortError
 from deepkoco.logs.series import Series
 from deepkoco.logs.sidecar import ChannelColumn
 from deepkoco.logs.units import parse_unit
@@ -33,13 +33,14 @@ def check_content(
     """Check that a log contains enough samples, time and changes of the command.
 
     Raises:
-        LogError: a channel is too short, all commands are constant, or channels do not overlap.
+        TooShortError: a channel has too few samples, or all together cover too short a time.
+        LogError: all commands are constant, or channels do not overlap.
     """
     driven = any(s.kind == "command" and len(s) and np.ptp(s.value) > 0 for s in channels.values())
     for name, series in channels.items():
         wanted = min_samples if series.kind == "measurement" else 1
         if len(series) < wanted:
-            raise LogError(
+            raise TooShortError(
                 f'{path}: channel "{name}" is too short: {len(series)} samples, at least {wanted} needed; '
                 "record for longer"
             )
@@ -54,7 +55,7 @@ def check_content(
     start, stop = max(float(s.t[0]) for s in measured), min(float(s.t[-1]) for s in measured)
     seconds = stop - start
     if seconds < min_seconds:
-        raise LogError(
+        raise TooShortError(
             f"{path}: too short: all measurements together cover {max(seconds, 0.0):.3g} s, at least "
             f"{min_seconds:g} s needed; if the log is longer, check the unit of the time column"
         )

@@ -24,6 +24,10 @@ class LogError(ValueError):
     """A log or its sidecar cannot be used; the message names file, column and what to do."""
 
 
+class TooShortError(LogError):
+    """A log has too few samples, or lasts too short a time."""
+
+
 @dataclass(frozen=True)
 class Table:
     """Columns of one topic, or of a file without topics.

@@ -11,6 +11,7 @@ from deepkoco.logs.formats.csv_head import looks_like_table
 from deepkoco.logs.formats.json_entries import looks_like_entries
 from deepkoco.logs.formats.log_file import LogError
 from deepkoco.logs.part import split_part
+from deepkoco.logs.runs import split_run
 
 SUFFIXES = (".csv", ".tsv", ".txt", ".parquet", ".pq", ".mcap", ".bag", ".db3", ".pt", ".json")
 DEEPEST = 6  # folders in folders that are searched
@@ -32,7 +33,8 @@ def recordings(paths: Iterable[str | Path], episodes: Collection[int] | None = N
     """List the recordings that paths name, each once, in the given order.
 
     A folder of logs gives the logs in it and in its folders, sorted by name with numbers in their order. A dataset
-    gives its episodes as `DATASET/episode_0` and so on. A part of a recording (`log.csv#t=2,7.5`) stays one.
+    gives its episodes as `DATASET/episode_0` and so on. A part or a run of a recording (`log.csv#t=2,7.5`,
+    `log.csv#run=2`) stays one.
 
     Args:
         paths: files and folders.
@@ -44,11 +46,12 @@ def recordings(paths: Iterable[str | Path], episodes: Collection[int] | None = N
     """
     found: dict[Path, None] = {}
     for named in paths:
-        path, part = split_part(named)
+        whole, part = split_part(named)
+        path, run = split_run(whole)
         if not path.exists() and not is_recording(path):
             raise LogError(f"{path}: no such file or folder")
         inside = _inside(path, episodes, 0)
-        if part is not None:
+        if part is not None or run is not None:
             if inside != [path]:
                 raise LogError(f"{named}: a part is one of a single recording; name a file or an episode")
             inside = [Path(named)]

@@ -26,7 +26,7 @@ def content(
         "meta": {} if recording is None else recording.meta,
         "clocks": [asdict(clock) for clocks in survey.clocks.values() for clock in clocks],
         "columns": [asdict(column) for column in survey.columns],
-        "where": survey.where,
+        "runs": survey.runs,
         "proposal": None if fitting is None else _proposal(fitting),
         "warnings": list(recording.warnings) if recording is not None else doubts_of(survey, proposal),
         "problem": problem,

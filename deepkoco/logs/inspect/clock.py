@@ -10,6 +10,7 @@ from deepkoco.logs.formats import LogFile
 from deepkoco.logs.formats.log_file import LogError, iso_seconds
 from deepkoco.logs.inspect.names import read_name
 from deepkoco.logs.own_rows import values_present
+from deepkoco.logs.runs import runs_of
 from deepkoco.logs.series import counting_column
 from deepkoco.logs.sidecar import ISO
 from deepkoco.logs.units import factor_between, parse_unit
@@ -37,6 +38,7 @@ class Clock:
         resets: rows at which the stamps decrease.
         missing: number of rows without a stamp.
         counter: column that counts the stretches between resets, None if there is none.
+        runs: number of runs of a log whose clock begins again; 1 where it does not.
     """
 
     topic: str
@@ -53,6 +55,7 @@ class Clock:
     resets: tuple[int, ...]
     missing: int
     counter: str | None
+    runs: int
 
 
 def find_clocks(log: LogFile, topic: str) -> list[Clock]:
@@ -169,6 +172,7 @@ def _clock(log: LogFile, topic: str, name: str, unit: str, named: bool) -> Clock
     median = float(np.median(forward)) if len(forward) else None
     is_gap = forward > GAP * median if median else np.zeros(0, dtype=bool)
     resets = good[1:][step < 0]
+    runs = runs_of(values)
     return Clock(
         topic=topic,
         column=name,
@@ -184,4 +188,5 @@ def _clock(log: LogFile, topic: str, name: str, unit: str, named: bool) -> Clock
         resets=tuple(int(row) for row in resets),
         missing=len(values) - len(good),
         counter=counting_column(log, topic, resets) if len(resets) else None,
+        runs=1 if runs is None else int(runs[-1]) + 1,
     )

@@ -12,6 +12,7 @@ from deepkoco.logs.inspect.choice import Choice, Proposal
 from deepkoco.logs.inspect.clock import Clock
 from deepkoco.logs.inspect.evidence import AGREES, POSITIONS, SPEEDS
 from deepkoco.logs.inspect.survey import ColumnSurvey, Survey
+from deepkoco.logs.runs import MARK
 from deepkoco.logs.units import factor_between, parse_unit
 
 FEW_TEXTS = 0.2  # share of cells below which text in a column is a mistake
@@ -50,11 +51,12 @@ def _clock(survey: Survey, clock: Clock) -> list[str]:
             f"{where} has no unit in its name; its steps suggest {clock.unit}, which is used; check it"
         )
     if clock.resets:
-        first = survey.where.get(clock.counter or "", math.nan)
+        counted = f', which the column "{clock.counter}" counts' if clock.counter else ""
         remedy = (
-            f'the column "{clock.counter}" counts the parts; "where: {{{clock.counter}: {first:g}}}" selects one'
-            if clock.counter
-            else "if the clock begins again there, write each part into a file of its own, under the same header"
+            f"the clock begins again, so the log has {clock.runs} runs{counted}; diagnose and identify take all of "
+            f"them, {survey.log.path.name}{MARK}0 is the first, which is shown here"
+            if clock.runs > 1
+            else "sort or split the log"
         )
         result.append(f"{where} decreases at {survey.log.rows(clock.topic, clock.resets, MANY)}; {remedy}")
     if clock.duplicates:

@@ -68,14 +68,17 @@ class Survey:
         log: the file.
         clocks: topic -> its clocks, the most probable first.
         columns: all columns, in the order of the file.
-        where: column that counts the stretches between resets -> its first value.
     """
 
     log: LogFile
     clocks: dict[str, list[Clock]]
     columns: tuple[ColumnSurvey, ...]
-    where: dict[str, float]
     _read: dict[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict, compare=False, repr=False)
+
+    @property
+    def runs(self) -> int:
+        """Number of runs of a log whose clock begins again; samples are those of the first one."""
+        return max((found[0].runs for found in self.clocks.values() if found), default=1)
 
     def samples(self, column: ColumnSurvey) -> tuple[np.ndarray, np.ndarray]:
         """Finite stamps [s] and values of a column up to the first reset of its clock, without glitches."""
@@ -108,11 +111,7 @@ def survey_log(log: LogFile) -> Survey:
     for topic, table in log.tables.items():
         for name in table.frame.columns:
             columns.append(_column(log, topic, str(name), clocks[topic]))
-    where = {}
-    for topic, found in clocks.items():
-        if found and found[0].counter is not None:
-            where[found[0].counter] = float(log.values(topic, found[0].counter)[0])
-    return Survey(log, clocks, tuple(columns), where)
+    return Survey(log, clocks, tuple(columns))
 
 
 def _column(log: LogFile, topic: str, name: str, clocks: list[Clock]) -> ColumnSurvey:

@@ -1,0 +1,112 @@
+"""Runs of a table whose clock begins again: `log.csv#run=2` is its third stretch between restarts, a log of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from deepkoco.logs.formats.log_file import LogError, TooShortError
+
+if TYPE_CHECKING:
+    from deepkoco.logs.recording import Recording
+
+MARK = "#run="
+FAR_BACK = 20.0  # usual steps by which a clock goes back that begins again
+
+
+class RestartError(LogError):
+    """The clock of a log begins again, so that the log is several runs.
+
+    Attributes:
+        runs: How many.
+    """
+
+    def __init__(self, message: str, runs: int) -> None:
+        super().__init__(message)
+        self.runs = runs
+
+
+def split_run(path: str | Path) -> tuple[Path, int | None]:
+    """Return the path of a log and the number of its run, which counts from 0; None for the whole log.
+
+    A file whose own name contains the mark is a whole log.
+
+    Raises:
+        LogError: The mark is not followed by a number.
+    """
+    path = Path(path)
+    name, mark, text = path.name.partition(MARK)
+    if not mark or path.exists():
+        return path, None
+    if not text.isdecimal():
+        raise LogError(f'{path}: "{MARK}{text}" names no run of a log; write {name}{MARK}0 for the first one')
+    return path.with_name(name), int(text)
+
+
+def runs_of(time: np.ndarray) -> np.ndarray | None:
+    """(n,) number of the run of each sample, from 0; None where the clock does not begin again.
+
+    A writer that mixes up rows is late by some rows. A clock that begins again goes back by many of its usual steps,
+    or, after a short run, to where that run began; and it does so wherever it goes back.
+
+    Args:
+        time: (n,) stamps in the order of the file [s]; NaN where there is none.
+    """
+    known = np.flatnonzero(np.isfinite(time))
+    stamps = time[known]
+    step = np.diff(stamps)
+    back, usual = np.flatnonzero(step < 0) + 1, step[step > 0]
+    if not len(back) or not len(usual):
+        return None
+    far = -step[back - 1] > FAR_BACK * float(np.median(usual))
+    begins = stamps[np.append(0, back[:-1])]
+    if not far.any() or not np.all(far | (stamps[back] <= begins)):
+        return None
+    first = np.zeros(len(time), dtype=int)
+    first[known[back]] = 1
+    return np.cumsum(first)
+
+
+def read_runs(
+    path: Path, read: Callable[[Path], Recording], episodes: Collection[int] | None = None
+) -> list[Recording]:
+    """Read a log, or each run of a log whose clock begins again.
+
+    Args:
+        path: The log.
+        read: Reads a log, or a run of one.
+        episodes: Numbers of the runs to read; None takes all that are long enough. A log of one run is read in any
+            case.
+
+    Returns:
+        The recordings. The first one warns of runs that are too short.
+
+    Raises:
+        LogError: The log cannot be read, it has no such run, or none of its runs is long enough.
+    """
+    try:
+        return [read(path)]
+    except RestartError as error:
+        runs = error.runs
+    missing = [number for number in episodes or () if number >= runs]
+    if missing:
+        raise LogError(f"{path}: has no run {missing[0]}; it has {runs} runs, 0 to {runs - 1}")
+    found: list[Recording] = []
+    short: dict[int, TooShortError] = {}
+    for number in range(runs) if episodes is None else episodes:
+        try:
+            found.append(read(path.with_name(f"{path.name}{MARK}{number}")))
+        except TooShortError as error:
+            if episodes is not None:
+                raise
+            short[number] = error
+    if not found:
+        raise next(iter(short.values()))
+    if short:
+        note = f"left out because they are too short: {', '.join(f'{path.name}{MARK}{k}' for k in short)}"
+        found[0] = replace(found[0], warnings=(*found[0].warnings, note))
+    return found
