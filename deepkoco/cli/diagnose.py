@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -147,9 +148,14 @@ def run(args: argparse.Namespace) -> int:
 
 
 class _Doing:
-    """Line on the stderr of a terminal with the current step and its duration."""
+    """The current step and the time since the begin, on stderr: one line on a terminal, else a new line now and then.
 
-    def __init__(self, quiet: bool) -> None:
+    Args:
+        quiet: Say nothing.
+        every: Shortest time between two lines where stderr is no terminal [s].
+    """
+
+    def __init__(self, quiet: bool, every: float = 10.0) -> None:
         from rich.console import Console
         from rich.progress import Progress as Line
         from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -163,10 +169,21 @@ class _Doing:
             disable=quiet or not sys.stderr.isatty(),
         )
         self.task = self.line.add_task("", total=None)
+        self.quiet, self.every, self.begin = quiet, every, time.monotonic()
+        self.said = self.begin
 
     def __enter__(self) -> Progress:
         self.line.start()
+        if self.line.disable:
+            return self._log
         return lambda doing: self.line.update(self.task, description=doing)
+
+    def _log(self, doing: str) -> None:
+        now = time.monotonic()
+        if not self.quiet and now - self.said >= self.every:
+            self.said = now
+            sys.stderr.write(f"{now - self.begin:6.0f} s  {doing}\n")
+            sys.stderr.flush()
 
     def __exit__(self, *_: object) -> None:
         self.line.stop()
