@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -9,11 +10,13 @@ from typing import TYPE_CHECKING
 from deepkoco.logs.checks.derivative import Relation
 from deepkoco.logs.inspect.survey import ColumnSurvey, Survey
 from deepkoco.logs.sidecar import ChannelColumn, Column
+from deepkoco.logs.units import parse_unit
 from deepkoco.systems import Channel
 
 if TYPE_CHECKING:
     from deepkoco.logs.inspect.joints.finding import JointFinding
 
+ONE_SCALE = 1.2  # ratio up to which estimated scales of speeds are those of one unit
 SURE, LIKELY = 0.9, 0.6  # probabilities from which a choice is called sure or likely
 
 
@@ -48,6 +51,29 @@ class Choice:
         if self.column is None:
             return "none"
         return "sure" if self.probability >= SURE else "likely" if self.probability >= LIKELY else "a guess"
+
+
+def with_one_scale(choices: Sequence[Choice]) -> list[Choice]:
+    """Speeds whose scales were estimated and nearly agree, with the scale of the most finely resolved one.
+
+    A recorder writes the speeds of all joints in one unit. The scale of a joint that turns slowly, in few steps of its
+    unit, is the least certain.
+    """
+    free = [c for c in choices if c.column is not None and not c.stated and abs(c.scale) != 1.0]
+    free = [c for c in free if parse_unit(c.channel.unit).quantity in ("angular velocity", "velocity")]
+    sizes = [abs(c.scale) for c in free]
+    if len(free) < 2 or max(sizes) > ONE_SCALE * min(sizes) or len({c.channel.unit for c in free}) > 1:
+        return list(choices)
+    best = abs(max(free, key=_steps).scale)
+    return [replace(c, scale=math.copysign(best, c.scale)) if c in free else c for c in choices]
+
+
+def _steps(choice: Choice) -> float:
+    """Number of steps of its resolution that a column spans."""
+    column = choice.column
+    if column is None or column.low is None or column.high is None or not column.quantum:
+        return 0.0
+    return (column.high - column.low) / column.quantum
 
 
 @dataclass(frozen=True)

@@ -68,6 +68,9 @@ def find_clocks(log: LogFile, topic: str) -> list[Clock]:
         score = _score(log, topic, name)
         if score is not None:
             scored.append((-score, position, name))
+    if not scored:
+        growing = [name for name in map(str, table.frame.columns) if _only_grows(log, topic, name)]
+        scored = [(0.0, 0, growing[0])] if len(growing) == 1 else []
     clocks = []
     for _, _, name in sorted(scored):
         unit, named = _unit(log, topic, name)
@@ -109,6 +112,16 @@ def _score(log: LogFile, topic: str, name: str) -> float | None:
     if unnamed and name not in ("", "Unnamed: 0") and hints.words and not _timelike(hints.words):
         return None
     return 3.0 * says + 1.0 * hinted + 2.0 * forward + (0.5 if name.lower() in ("t", "time") else 0.0)
+
+
+def _only_grows(log: LogFile, topic: str, name: str) -> bool:
+    """Whether a column grows evenly from row to row, and not by ones as a count of rows does."""
+    try:
+        values = log.values(topic, name)
+    except LogError:
+        return False
+    step = np.diff(values)
+    return len(step) > 20 and bool(np.all(step > 0)) and _even(step) and not np.all(step == 1.0)
 
 
 def _repeated(log: LogFile, topic: str, name: str, rows: np.ndarray) -> int:

@@ -53,6 +53,7 @@ WORDS: dict[str, dict[str, float]] = {
         **dict.fromkeys(("ns", "nsec", "nanos", "uptime", "elapsed"), 2.0),
     },
 }
+CLEAR = 2.0  # evidence from which a word says a quantity whatever the other words are [nats]
 _NO_TIMES = tuple(name for name in WORDS if name != "time")
 COMMANDED = (
     "cmd",
@@ -100,6 +101,11 @@ SUFFIXES = {
     "mm_s": "mm/s", "mmps": "mm/s", "cm_s": "cm/s", "m_s": "m/s", "mps": "m/s", "ma": "mA", "turns": "rev",
     "rev": "rev",
 }  # fmt: skip
+
+
+def said_by(quantity: str) -> set[str]:
+    """Words that clearly say a quantity."""
+    return {word for word, evidence in WORDS[quantity].items() if evidence >= CLEAR}
 
 
 @dataclass(frozen=True)

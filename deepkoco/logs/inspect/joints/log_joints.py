@@ -7,41 +7,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from deepkoco.logs.inspect.evidence import POSITIONS, SPEEDS
-from deepkoco.logs.inspect.names import COMMANDED, WANTED, read_name
+from deepkoco.logs.inspect.names import COMMANDED, WANTED, read_name, said_by
 from deepkoco.logs.inspect.survey import ColumnSurvey
 from deepkoco.logs.units import parse_unit
 
 GOAL = {*COMMANDED, *WANTED, "commands", "goals", "actions", "targets", "trajectory", "controls"}
 MEASURED = {"meas", "measured", "actual", "feedback", "observation", "state", "states"}
-POSITION = {
-    "q",
-    "pos",
-    "position",
-    "positions",
-    "angle",
-    "angles",
-    "theta",
-    "th",
-    "jpos",
-    "qpos",
-    "encoder",
-    "enc",
-}
-SPEED = {
-    "dq",
-    "vel",
-    "velocity",
-    "velocities",
-    "qd",
-    "qdot",
-    "omega",
-    "speed",
-    "dtheta",
-    "qvel",
-    "jvel",
-    "dpos",
-}
-EFFORT = {"load", "effort", "efforts", "torque", "torques", "tau", "current", "currents"}
+POSITION = {*said_by("angle"), "angles"}
+SPEED = said_by("angular velocity")
+EFFORT = {*said_by("torque"), *said_by("current"), "load", "torques", "currents"}
 LOADS = ("torque", "force")
 RATES = {"angle": "angular velocity", "length": "velocity"}
 FILLER = {
@@ -58,6 +32,7 @@ FILLER = {
     "value",
     "act",
 }
+GOALS = {"position": "goal", "speed": "goal speed", "effort": "goal effort"}
 _ROLE_WORDS = GOAL | MEASURED | POSITION | SPEED | EFFORT | FILLER
 
 
@@ -105,6 +80,8 @@ def log_joints(
             role = _role_by_unit(column, named=label in known) or ("position" if label in known else None)
         if role is not None and _fits(column, role, fitting):
             found.setdefault(label, LogJoint(label)).columns.setdefault(role, column)
+    _take_states(columns, found)
+    _join_goals(found)
     result = [joint for joint in found.values() if "position" in joint.columns]
     named = [joint for joint in result if joint.label in said]
     if joints and len(named) >= len(joints):
@@ -112,6 +89,42 @@ def log_joints(
     if len(named) > 1 and all(len(joint.columns) > 1 for joint in named):
         return [joint for joint in result if joint.label in said or len(joint.columns) > 1]
     return result
+
+
+def _take_states(columns: Sequence[ColumnSurvey], found: dict[str, LogJoint]) -> None:
+    """Take `state_0`, `state_1` as positions where no name says a position, and each has its goal: `action_0`."""
+    if any("position" in joint.columns for joint in found.values()):
+        return
+    words = {column.label: _words(column.name) for column in columns if column.usable}
+    states = {
+        said[1]: column
+        for column in columns
+        if len(said := words.get(column.label, [])) == 2 and said[0] in MEASURED and said[1].isdecimal()
+    }
+    if states.keys() == {label for label, joint in found.items() if "goal" in joint.columns}:
+        for label, column in states.items():
+            found[label].columns["position"] = column
+
+
+def _join_goals(found: dict[str, LogJoint]) -> None:
+    """Give the columns of `q_d_0` and `tau_J_0` to the joint of `q_0`.
+
+    A "d" in a name that is there without it too says "desired". A letter before a number says "joint".
+    """
+    for label, joint in list(found.items()):
+        words = label.split("_")
+        plain = "_".join(word for word in words if word != "d")
+        if plain != label and plain in found and set(joint.columns) <= set(GOALS) & set(found[plain].columns):
+            goals = found[plain].columns
+            for role, column in joint.columns.items():
+                goals.setdefault(GOALS[role], column)
+            del found[label]
+    for label, joint in list(found.items()):
+        letter, _, number = label.partition("_")
+        if len(letter) == 1 and number in found and number.isdecimal() and "position" not in joint.columns:
+            for role, column in joint.columns.items():
+                found[number].columns.setdefault(role, column)
+            del found[label]
 
 
 def _fits(column: ColumnSurvey, role: str | None, fitting: set[str]) -> bool:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from deepkoco.logs.by_name import wanted_names
-from deepkoco.logs.inspect.choice import Choice, Proposal
+from deepkoco.logs.inspect.choice import Choice, Proposal, with_one_scale
 from deepkoco.logs.inspect.evidence import SPEEDS
 from deepkoco.logs.inspect.joints.finding import JointFinding, from_ranges
 from deepkoco.logs.inspect.joints.goals import Tracking, track
@@ -59,7 +59,9 @@ def propose_joints(surveys: Sequence[Survey], system: System) -> Proposal:
     evidence = gravity_evidence(surveys, system, joints)
     findings = {joint.number: _finding(survey, system, joint, evidence) for joint in joints}
     by_number = {joint.number: joint for joint in joints}
-    measured = [_measurement(survey, system, c, by_number, findings) for c in system.measurements]
+    measured = with_one_scale(
+        [_measurement(survey, system, c, by_number, findings) for c in system.measurements]
+    )
     commanded = [_command(survey, system, k, by_number, findings) for k in range(len(system.commands))]
     shown = {c.column.label for c in measured if c.column is not None}
     commanded = [_by_name(survey, choice, shown) for choice in commanded]
