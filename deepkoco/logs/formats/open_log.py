@@ -48,6 +48,12 @@ def _entries(path: Path, wanted: Wanted) -> LogFile:
     return read_entries(path)
 
 
+def _arrays(path: Path, wanted: Wanted) -> LogFile:
+    from deepkoco.logs.formats.array_file import read_hdf5, read_mat, read_npz
+
+    return {".npz": read_npz, ".mat": read_mat}.get(path.suffix.lower(), read_hdf5)(path)
+
+
 def _episode(path: Path, wanted: Wanted) -> LogFile:
     from deepkoco.logs.formats.lerobot import read_episode
 
@@ -71,6 +77,10 @@ FORMATS: dict[str, Callable[[Path, Wanted], LogFile]] = {
     ".db3": _bag,
     ".pt": _tensors,
     ".json": _entries,
+    ".npz": _arrays,
+    ".mat": _arrays,
+    ".h5": _arrays,
+    ".hdf5": _arrays,
 }
 
 

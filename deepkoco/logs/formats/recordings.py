@@ -13,7 +13,22 @@ from deepkoco.logs.formats.log_file import LogError
 from deepkoco.logs.part import split_part
 from deepkoco.logs.runs import split_run
 
-SUFFIXES = (".csv", ".tsv", ".txt", ".parquet", ".pq", ".mcap", ".bag", ".db3", ".pt", ".json")
+SUFFIXES = (
+    ".csv",
+    ".tsv",
+    ".txt",
+    ".parquet",
+    ".pq",
+    ".mcap",
+    ".bag",
+    ".db3",
+    ".pt",
+    ".json",
+    ".npz",
+    ".mat",
+    ".h5",
+    ".hdf5",
+)
 DEEPEST = 6  # folders in folders that are searched
 
 
