@@ -64,6 +64,17 @@ def test_lost_commands_are_named_together_with_friction():
     assert 0.02 < share.value < 0.08
 
 
+@pytest.mark.study
+def test_lost_commands_that_fit_a_small_error_take_no_name_away():
+    """They explain 1 and 4 % of what friction explains, and leave more than noise: a gain that drifts is not tried."""
+    for torque, drift, seed in ((0.3, 0.005, 1), (0.2, 0.005, 2)):
+        hidden = {"coulomb": {"torque": torque}, "gain_drift": {"rate": drift}}
+        log = hidden_log("rod_pendulum", hidden, "closed-loop", seed, 10.0)
+        result = diagnose([log], "rod_pendulum", only=["coulomb", "lost_commands"])
+        assert result.names == ("coulomb",)
+        assert result.causes[0].parameters["coulomb.torque"].value == pytest.approx(torque, rel=0.06)
+
+
 @pytest.mark.parametrize(("turned", "fewest"), [(2.0, 7), (0.5, 26), (0.3, None), (20.0, 2)])
 def test_cogging_starts_need_two_cycles_in_the_log(turned, fewest):
     # The second log counts its turns from elsewhere.

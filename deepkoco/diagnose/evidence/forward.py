@@ -31,7 +31,7 @@ from deepkoco.diagnose.evidence.seen_when_healthy import (
     hypotheses_of,
 )
 from deepkoco.diagnose.evidence.selected import Selected, fall_of_bic, on_refit
-from deepkoco.diagnose.evidence.selection import FURTHER, rank, without_events_first
+from deepkoco.diagnose.evidence.selection import FURTHER, PATIENCE, rank, without_events_first
 from deepkoco.diagnose.evidence.selection_task import SelectionTask
 from deepkoco.diagnose.evidence.start_values import Hints
 from deepkoco.diagnose.lost_commands.report import best_losses, instead_of_push
@@ -43,11 +43,14 @@ from deepkoco.diagnose.residuals.residuals import (
     missing_torque,
 )
 from deepkoco.diagnose.residuals.whiteness import more_than_noise
-from deepkoco.fit.fit import Fit, FitProblem
+from deepkoco.fit.fit import Fit, FitProblem, Trial
 
 MOST_CAUSES = 3
 MAX_ROUNDS = 3  # of comparing each cause again and eliminating causes
 MOST_TOLERATED = 2  # causes within their tolerance that a fit contains beside others
+# Share of what is explained. Pushes and lost commands can fit a part of any model error. Where they explain less, and
+# more than noise is left, they are no causes, and no reason to doubt those beside them.
+FITTED_TO_ERROR = 0.1
 
 
 class Selection(SelectionTask):
@@ -221,7 +224,7 @@ class Selection(SelectionTask):
         if dispersion(final, self.train).lag_one > coloured_from(self.train):
             kept, final = self._without(found.acting, kept, final, BENDING, 0.5)
         if more_than_noise(final, self.train, self.start) is not None:
-            kept, final = self._without(found.acting, kept, final, PUSHES, 0.1)
+            kept, final = self._without(found.acting, kept, final, PUSHES, FITTED_TO_ERROR)
         steps = tuple(s for s, c in zip(found.steps, found.accepted, strict=True) if c in kept)
         return replace(found, final=final, accepted=tuple(kept), steps=steps)
 
@@ -273,7 +276,29 @@ class Selection(SelectionTask):
         reference = nothing.final
         if self._score(found, reference, everyone) <= self._score(plain, reference, everyone) + wanted:
             return None
-        return found
+        return None if self._losses_fit_error(found, plain) else found
+
+    def _losses_fit_error(self, found: Selected, plain: Selected) -> bool:
+        """Return whether lost commands explain little and leave more than noise.
+
+        Real losses leave only noise, so these would not be named. They would take along the names of causes that
+        explain nearly everything.
+
+        Args:
+            found: Lost commands with causes.
+            plain: The causes that were selected without lost commands.
+        """
+        if more_than_noise(found.final, self.train, self.start) is None:
+            return False
+        if found.accepted == plain.accepted:
+            alone = plain.final
+        else:
+            prior = prior_with(self.problem, self.start, found.accepted, found.final.values)
+            f = found.final
+            alone = self.problem.fit_one(
+                Trial(f.name, prior.names, prior, f.values, f.state, f.nuisance), PATIENCE
+            )
+        return alone.chi2 - found.final.chi2 < FITTED_TO_ERROR * (self.before - found.final.chi2)
 
     def _with_losses_in_class(self, found: Selected) -> Selected:
         """Add lost commands to the class of a push if they explain the data as well."""

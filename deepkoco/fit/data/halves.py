@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from deepkoco.fit.data.unseen_positions import carried_on
 from deepkoco.fit.data.way_before import way_after
 from deepkoco.fit.data.windows import Windows, first_state
 
@@ -24,7 +25,11 @@ def halved(windows: Windows) -> Windows:
             order = torch.argsort((~inside).to(torch.int8), dim=-1, stable=True)
             pick = [x.gather(-1, order) for x in (t, windows.value[w], inside)]
             t, value, valid = (x.numpy() for x in pick)
-            parts.append((*pick, first_state(t, value, valid, windows.shows, joints)))
+            state = first_state(t, value, valid, windows.shows, joints)
+            guess, *shown = (x[w].numpy() for x in (windows.state, windows.t, windows.value, windows.valid))
+            for joint, position in carried_on(guess, *shown, shows=windows.shows, until=k * half).items():
+                state[joint] = position
+            parts.append((*pick, state))
     size = int(max((part[2].sum(-1).max() for part in parts), default=0))
     return replace(
         windows,

@@ -14,6 +14,7 @@ from deepkoco.fit.data.noise import Noise, estimate_noise, rates
 from deepkoco.fit.data.per_log_differences import Known, known_of
 from deepkoco.fit.data.rest import resting_stamps
 from deepkoco.fit.data.series import CommandSeries, channel_series, scatter_taken_out
+from deepkoco.fit.data.unseen_positions import unseen_positions
 from deepkoco.fit.data.way_before import hidden_by, ways_of
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import Motion, System
@@ -225,6 +226,9 @@ def cut_windows(
     shows = system.measured_states
     state = np.array([first_state(t[w], value[w], valid[w], shows, system.joints) for w in range(len(rows))])
     state = state.reshape(-1, 2 * system.joints)
+    state[:, : system.joints] += unseen_positions(
+        [series for _, series in channels], names, shows, system.joints, log, t0s
+    )
     return Windows(
         tuple(commands),
         log,
