@@ -305,15 +305,29 @@ def _reached(distances: np.ndarray, reach: float) -> float:
 
 
 def _without_motions(value: np.ndarray, far: np.ndarray, low: float, high: float) -> np.ndarray:
-    """Leave out stretches that a joint reaches and leaves in small steps, such as the way to where it then rests."""
+    """Leave out stretches that a joint reaches or leaves in small steps.
+
+    Such is the way to where it then rests, or the speed after a kick, which begins with a jump and decays. A glitch
+    jumps away from the course of the others and back to it.
+    """
     kept = np.flatnonzero(np.isfinite(value))
     inside, some = value[kept], far[kept]
     edges = np.flatnonzero(np.diff(np.concatenate([[False], some, [False]]).astype(np.int8)))
     for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
-        distance = np.maximum(inside[begin:end] - high, low - inside[begin:end]).max()
-        steps = np.abs(np.diff(inside[max(begin - 1, 0) : end + 1]))
-        if end - begin < len(inside) and steps.max() < JUMP * distance:
-            some[begin:end] = False
+        if end - begin == len(inside):
+            continue
+        distance = np.maximum(inside[begin:end] - high, low - inside[begin:end])
+        small = JUMP * distance.max()
+        before, after = np.zeros(end - begin, bool), np.zeros(end - begin, bool)
+        if begin > 0:
+            before = np.abs(np.diff(inside[begin - 1 : end])) < small
+        if end < len(inside):
+            after = np.abs(np.diff(inside[begin : end + 1])) < small
+        going_on = np.logical_and.accumulate(before) | np.logical_and.accumulate(after[::-1])[::-1]
+        if going_on.any():
+            # What the kick itself reached is no jump away from what the motion had afterwards.
+            going_on |= distance - distance[going_on].max() < JUMP * distance
+        some[begin:end] = ~going_on
     result = np.zeros(len(value), dtype=bool)
     result[kept] = some
     return result

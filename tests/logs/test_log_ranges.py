@@ -76,3 +76,14 @@ def test_far_values_are_not_the_speeds_of_short_motions():
     assert not far_values(value).any()
     value[3300] = 9.0
     assert np.flatnonzero(far_values(value)).tolist() == [3300]
+
+
+def test_far_values_are_not_the_speed_after_a_kick():
+    """A gyro of a robot that is let go off its balance: it jumps away, wobbles, and comes back in small steps."""
+    rest = 1.5 * np.sin(0.3 * np.arange(2000))
+    kick = np.array([-73.6, -32.8, -46.0, -32.9, -31.7, -29.9, -25.9, -23.0, -22.0, -16.0, -11.0, -7.0, -3.0])
+    value = np.concatenate([[-0.1], kick, rest])
+    assert not far_values(value).any()
+    value[1] = -400.0
+    value[900:903] = 90.0
+    assert np.flatnonzero(far_values(value)).tolist() == [1, 900, 901, 902]

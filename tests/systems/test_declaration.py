@@ -120,6 +120,23 @@ def test_the_typical_load_of_a_servo_is_that_near_its_goal_however_far_it_may_go
     assert Turntable().load_scales == pytest.approx((12.0 * 0.2,))
 
 
+def test_the_typical_load_of_a_joint_on_a_spring_is_near_what_its_actuator_delivers():
+    """A voice coil of 6 N moves a stage on flexures of 3000 N/m by 2 mm, and not by half a metre."""
+
+    class Coil(System):
+        parameters = (Parameter("stiffness", 3000.0, "N/m", 100.0, 5e4, 150.0, "flexures"),)
+        joint_units = ("m",)
+        commands = (Channel("current", "A", "command", -1.0, 1.0),)
+        measurements = (Channel("position", "m", "measurement", noise_sd=3e-7),)
+
+        def accelerations(self, p):
+            return lambda s: (
+                (6.0 * s.efforts[0] - p["stiffness"] * s.angles[0] - s.speeds[0] + s.load(0)) / 0.3,
+            )
+
+    assert 6.0 <= Coil().load_scales[0] <= 12.0
+
+
 @pytest.mark.parametrize(
     ("text", "unit"),
     [

@@ -66,10 +66,17 @@ def eliminated(
             for cause, less in zip(kept, fits, strict=True)
         ]
         most = max(before - fit.cost, 1e-300)
+        # What is left by the form of another cause lowers chi2. A parameter far from what is declared of it is not left
+        # by causes that are exempt, of which there is no more than on any machine.
+        small = sum(less.cost - fit.cost for c, less in zip(kept, fits, strict=True) if c in exempt)
         weak = [
             k
             for k, (cause, less) in enumerate(zip(kept, fits, strict=True))
-            if worth[k] <= wanted or (less.cost - fit.cost < share * most and cause not in exempt)
+            if worth[k] <= wanted
+            or (
+                cause not in exempt
+                and less.cost - fit.cost < share * (most - small * _mostly_prior_penalty(less, fit))
+            )
         ]
         if not weak:
             break
