@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 
-@njit(error_model="numpy", nogil=True)
+@njit(error_model="numpy", nogil=True, _nrt=False)
 def rub_element(
     before, load, slide, stick, inverse, rubbing, mean, step, sweeps, close, speed, moved, hold, n
 ):

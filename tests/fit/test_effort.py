@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from deepkoco.fit.data.windows import CommandSeries, Windows
-from deepkoco.fit.simulate.command_effort import TooManyLagsError, _HeldEfforts, step_efforts
+from deepkoco.fit.simulate.command_effort import TooManyLagsError, step_efforts
+from deepkoco.fit.simulate.held_efforts import HeldEfforts
 from deepkoco.systems import ExtendedSystem, make_system
 from deepkoco.systems.bodies.rod_pendulum import RodPendulum
 
@@ -99,7 +100,7 @@ def test_held_efforts_of_two_lags_match_the_differential_equation(short, long):
     rng = np.random.default_rng(3)
     t = np.concatenate([[0.0], np.cumsum(rng.uniform(0.001, 0.03, 60))])
     command = CommandSeries(t, rng.standard_normal(len(t)))
-    series = _HeldEfforts(command, command.value[None], [np.array([long]), np.array([short])])
+    series = HeldEfforts(command, command.value[None], [np.array([long]), np.array([short])])
     step, steps = 0.01, 60
     a, b = series.steps(np.array([0]), np.zeros((1, 1)), np.array([0.2]), step, steps)
     fine = 500  # points of each piece of constant command
@@ -117,11 +118,45 @@ def test_held_efforts_of_two_lags_match_the_differential_equation(short, long):
     once = np.concatenate([[0.0], np.cumsum(0.5 * (np.diff(at) * (np.array(out[1:]) + np.array(out[:-1]))))])
     edges = 0.2 + step * np.arange(steps + 1)
     wanted = np.diff(np.interp(edges, at, once)) / step
-    assert (a + 0.5 * step * b)[0, 0] == pytest.approx(wanted, abs=3e-5)
+    assert (a + 0.5 * step * b)[:, 0, 0] == pytest.approx(wanted, abs=3e-5)
     # The slope keeps the double integral too.
     twice = np.concatenate([[0.0], np.cumsum(0.5 * np.diff(at) * (once[1:] + once[:-1]))])
     inside = np.diff(np.interp(edges, at, twice)) - step * np.interp(edges[:-1], at, once)
-    assert (a * step**2 / 2 + b * step**3 / 6)[0, 0] == pytest.approx(inside, abs=1e-7)
+    assert (a * step**2 / 2 + b * step**3 / 6)[:, 0, 0] == pytest.approx(inside, abs=1e-7)
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.03])
+def test_held_efforts_equal_their_formulas_on_whole_arrays(lag):
+    """All rows, windows and nodes at once in numpy, with the recursion of the lag written out."""
+    rng = np.random.default_rng(4)
+    t = np.cumsum(rng.uniform(0.001, 0.02, 200))
+    effort, t0, step, steps = rng.standard_normal((3, 200)), np.array([-0.05, 0.4, 1.9]), 0.007, 40
+    row, delay = np.array([2, 0, 1, 2]), rng.uniform(0.0, 0.05, (4, 3))
+    series = HeldEfforts(CommandSeries(t, effort[0]), effort, [np.array([0.0, lag, lag])])
+    gap = np.diff(t)
+    once = np.cumsum(np.column_stack([np.zeros(3), effort[:, :-1] * gap]), axis=1)
+    way = once[:, :-1] * gap + 0.5 * effort[:, :-1] * gap**2
+    twice = np.cumsum(np.column_stack([np.zeros(3), way]), axis=1)
+    deviation = np.zeros((3, 200))
+    for i in range(199) if lag else ():
+        jump = effort[1:, i] - effort[1:, i + 1]
+        deviation[1:, i + 1] = np.exp(-gap[i] / lag) * deviation[1:, i] + jump
+    at = (t0[:, None] + step * np.arange(steps + 1))[None] - delay[..., None]
+    piece = np.clip(np.searchsorted(t, at, side="right") - 1, 0, None)
+    lane, inside = row[:, None, None], at - t[piece]
+    now, before = effort[lane, piece], once[lane, piece]
+    single = before + now * inside
+    double = twice[lane, piece] + inside * (before + 0.5 * now * inside)
+    if lag:
+        left = deviation[lane, piece] * np.exp(-np.maximum(inside, 0.0) / lag)
+        own, start = (row > 0)[:, None, None] * lag, effort[row, 0][:, None, None]
+        single = single - own * (now + left - start)
+        double = double - own * (single - start * (at - t[0]))
+    first, second = np.diff(single, axis=2), np.diff(double, axis=2) - step * single[:, :, :-1]
+    slope = 12.0 * (0.5 * step * first - second) / step**3
+    a, b = series.steps(row, delay, t0, step, steps)
+    assert a == pytest.approx((first / step - 0.5 * step * slope).T, abs=1e-9)
+    assert b == pytest.approx(slope.T, abs=1e-6)
 
 
 def test_command_efforts_of_one_command_are_in_steady_state():
@@ -144,12 +179,30 @@ def test_command_efforts_refuse_three_lags_and_ignore_a_lag_of_zero():
     windows = windows_of([0.0, 1.0], [0.0, 1.0], [1.0], 0.01, 30)
     p = system.default_parameters()
     without = step_efforts(system, windows, p, 1)
-    two = _HeldEfforts(
+    two = HeldEfforts(
         windows.commands[0], np.array([[0.0, 1.0]]), [np.array([0.02]), np.array([0.03])]
     ).steps(np.array([0]), np.zeros((1, 1)), windows.t0, 0.01, 30)
-    assert without[0].numpy() == pytest.approx(two[0], abs=1e-12)
+    assert pytest.approx(two[0], abs=1e-12) == without[0].numpy().T
     with pytest.raises(TooManyLagsError, match=r'rod_pendulum: the command ".*" has 3 lags in series'):
         step_efforts(system, windows, p | {"lag.time_constant": torch.tensor([0.01], dtype=torch.float64)}, 1)
+
+
+def test_lanes_with_the_same_efforts_share_them():
+    """One lane is computed where nothing differs, and lanes that differ get what they get alone."""
+    system = ExtendedSystem(make_system("rod_pendulum"), ("gain", "lag", "actuation_delay"))
+    rng = np.random.default_rng(7)
+    windows = windows_of(0.01 * np.arange(100), rng.normal(size=100), [0.2, 0.5], 0.01, 20)
+    given = system.default_parameters()
+
+    def lanes(count, **values):
+        own = {n.replace("__", "."): torch.tensor(v, dtype=torch.float64) for n, v in values.items()}
+        return step_efforts(system, windows, given | own, count)
+
+    assert lanes(5)[0].stride(0) == 0
+    several = lanes(4, gain__factor=[1.0, 1.2, 1.0, 1.2], actuation_delay__delay=[0.01, 0.01, 0.0, 0.01])
+    for k, (factor, delay) in enumerate([(1.0, 0.01), (1.2, 0.01), (1.0, 0.0), (1.2, 0.01)]):
+        alone = lanes(1, gain__factor=[factor], actuation_delay__delay=[delay])
+        assert all(torch.equal(a[k], b[0]) for a, b in zip(several, alone, strict=True))
 
 
 @pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning")

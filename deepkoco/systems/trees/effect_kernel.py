@@ -10,7 +10,7 @@ from deepkoco.systems.trees.block_sizes import LANES, in_lanes, in_rows
 from deepkoco.systems.trees.learned_kernel import add_term
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "b558a93d061d66bf"
+COMPILED_WITH = "34643cbcb45bbd96"
 
 # Loads of effects that the loop knows; those from STRIBECK to before LEARNED are levels of dry friction. From LEARNED
 # on, each is a term of a learned load.
@@ -19,13 +19,13 @@ STRIBECK, LOAD_FRICTION, LEARNED = range(8, 11)
 MOST_VALUES = 5  # of an effect
 
 
-@njit(error_model="numpy", nogil=True)
+@njit(error_model="numpy", nogil=True, _nrt=False)
 def is_level(kind):
     """Whether an effect is a level of dry friction."""
     return STRIBECK <= kind < LEARNED
 
 
-@njit(error_model="numpy", nogil=True)
+@njit(error_model="numpy", nogil=True, _nrt=False)
 def deliver(drives, gear, law, angle, speed, effort, forces):
     """Forces (M, LANES) of the actuators on their joints."""
     law, forces, angle, speed = in_rows(law, 8), in_lanes(forces), in_lanes(angle), in_lanes(speed)
@@ -42,7 +42,7 @@ def deliver(drives, gear, law, angle, speed, effort, forces):
             forces[a, i] = ratio * force
 
 
-@njit(error_model="numpy", nogil=True)
+@njit(error_model="numpy", nogil=True, _nrt=False)
 def add_levels(kinds, places, values, drives, forces, speed, level):
     """Add the levels of dry friction that depend on the motion to ``level`` (J, LANES)."""
     for e in range(len(kinds)):
@@ -60,7 +60,7 @@ def add_levels(kinds, places, values, drives, forces, speed, level):
                 level[j, i] += values[e, 0, i] * abs(effort)
 
 
-@njit(error_model="numpy", nogil=True)
+@njit(error_model="numpy", nogil=True, _nrt=False)
 def sum_of_forces(drives, joint, forces, effort):
     """Write what all actuators of a joint deliver to ``effort`` (LANES,)."""
     for i in range(LANES):
@@ -71,7 +71,7 @@ def sum_of_forces(drives, joint, forces, effort):
                 effort[i] += forces[a, i]
 
 
-@njit(error_model="numpy", nogil=True)
+@njit(error_model="numpy", nogil=True, _nrt=False)
 def add_loads(kinds, places, values, drives, forces, angle, speed, time, effort, load):
     """Add the loads of effects to ``load`` (J, LANES); ``effort`` (LANES,) is overwritten."""
     for e in range(len(kinds)):

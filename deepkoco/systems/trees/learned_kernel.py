@@ -22,12 +22,12 @@ COMPILED_WITH = "17e781271967e03a"
 SHARES = tuple(place / 100 for place in PLACES)
 
 
-@njit(error_model="numpy", nogil=True)
+@njit(error_model="numpy", nogil=True, _nrt=False)
 def _within(value, reach):
     return min(max(value, -reach), reach)
 
 
-@njit(error_model="numpy", nogil=True)
+@njit(error_model="numpy", nogil=True, _nrt=False)
 def _of_motion(term, v, sign, u):
     """Value of a term in speed and effort."""
     if term == CONSTANT:
@@ -55,7 +55,7 @@ def _of_motion(term, v, sign, u):
     return abs(u) * sign
 
 
-@njit(error_model="numpy", nogil=True)
+@njit(error_model="numpy", nogil=True, _nrt=False)
 def _of_place(term, place):
     """Value of a spring that begins somewhere; ``place`` is the angle as a share of the range of the data."""
     if term <= BEYOND_2:
@@ -67,7 +67,7 @@ def _of_place(term, place):
     return max(place - begin, 0.0) if number % 2 == 0 else min(place - begin, 0.0)
 
 
-@njit(error_model="numpy", nogil=True)
+@njit(error_model="numpy", nogil=True, _nrt=False)
 def _of_angle(term, angle, v, sign, u):
     """Value of a term of a joint that turns."""
     if term == SIN:
@@ -97,7 +97,7 @@ def _of_angle(term, angle, v, sign, u):
     return u * math.cos(angle)
 
 
-@njit(error_model="numpy", nogil=True)
+@njit(error_model="numpy", nogil=True, _nrt=False)
 def add_term(term, values, angle, speed, effort, load):
     """Add one term to the load of a joint.
 

@@ -92,7 +92,14 @@ class TreeRollout:
         # Copies: the loop is compiled again for arrays that cannot be written, as views of one value are.
         group = np.array(np.broadcast_to(np.arange(groups).reshape(numbers), shape)).ravel()
         start = np.stack([x.expand(shape).numpy() for x in given.start]).reshape(2 * joints, count)
-        begin, slope = (_stacked(x, (steps, *shape)) for x in (given.begin, given.slope))
+        # Where all lanes of a window have the same efforts, these are read from one of them.
+        shared = lanes > 1 and all(x.stride(-1) == 0 for x in (*given.begin, *given.slope))
+        sent = np.arange(windows).repeat(lanes) if shared else np.arange(count)
+        width = 1 if shared else lanes
+        begin, slope = (
+            _stacked([x[..., :width] for x in each], (steps, windows, width))
+            for each in (given.begin, given.slope)
+        )
         loads = np.empty((0, steps, count))
         if given.loads is not None:
             # One load may act in all lanes.
@@ -113,7 +120,7 @@ class TreeRollout:
             values.reshape(len(self._loads), MOST_VALUES, groups),
             np.array([force.joint for force in self._forces], np.int64), force_table(pulls, numbers),
             np.array(given.friction.joints, np.int64),
-            steady.reshape(joints, groups), given.step, start, time, begin, slope, loads,
+            steady.reshape(joints, groups), given.step, start, time, sent, begin, slope, loads,
             1 if len(given.friction.joints) == 1 else SWEEPS, CLOSE, value, left, right,
         )  # fmt: skip
         return RolloutResult(*(_parts(x, shape) for x in (value, left, right)))

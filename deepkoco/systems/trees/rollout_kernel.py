@@ -21,7 +21,7 @@ from deepkoco.systems.trees.newton_euler_kernel import LOAD, ROWS, SPARE
 from deepkoco.systems.trees.step_kernel import mean_levels, runge_kutta
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "f2ce9be2420821f7"
+COMPILED_WITH = "2add52231c1c1ff2"
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -39,8 +39,9 @@ def tree_rollout(
     step,  # [s]
     start,  # (2 J, N) angles, then speeds
     time,  # (N,) log time at the start [s]
-    begin,  # (M, n, N) efforts at the start of each step
-    slope,  # (M, n, N) per second
+    sent,  # (N,) column of each element's efforts
+    begin,  # (M, n, C) efforts at the start of each step
+    slope,  # (M, n, C) per second
     loads,  # (J, n, N) outside loads, or (0, n, N) for none
     sweeps,  # largest number, of dry friction
     close,  # change of an acceleration, as a share of it, at which these end
@@ -115,10 +116,11 @@ def tree_rollout(
                 times[0, i] = time[e] + n * step
                 times[1, i] = time[e] + (n * step + 0.5 * step)
                 times[2, i] = time[e] + (n * step + step)
+                c = sent[e]
                 for a in range(motors):
-                    efforts[0, a, i] = begin[a, n, e]
-                    efforts[1, a, i] = begin[a, n, e] + 0.5 * step * slope[a, n, e]
-                    efforts[2, a, i] = begin[a, n, e] + step * slope[a, n, e]
+                    efforts[0, a, i] = begin[a, n, c]
+                    efforts[1, a, i] = begin[a, n, c] + 0.5 * step * slope[a, n, c]
+                    efforts[2, a, i] = begin[a, n, c] + step * slope[a, n, c]
                 for k in range(joints):
                     push[k, i] = loads[k, n, e] if len(loads) else 0.0
             for r in range(len(rubbing)):

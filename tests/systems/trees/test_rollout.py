@@ -11,9 +11,11 @@ from deepkoco.fit.data.windows import CommandSeries, Windows
 from deepkoco.fit.shooting import ShootingProblem
 from deepkoco.fit.simulate import simulator
 from deepkoco.fit.simulate.simulator import integrate
+from deepkoco.fit.simulate.step import friction_of
 from deepkoco.systems import ExtendedSystem
 from deepkoco.systems.effects import effects_of
 from deepkoco.systems.effects.learned import is_weight
+from deepkoco.systems.rollout import RolloutInput
 from deepkoco.systems.trees import TreeSystem
 from deepkoco.systems.trees.rollout import KINDS, TreeRollout
 
@@ -180,6 +182,26 @@ def test_one_push_may_act_on_all_lanes(arm, monkeypatch):
     for a, b, c in zip(one.value, every.value, slow.value, strict=True):
         torch.testing.assert_close(a, b, rtol=0.0, atol=0.0)
         torch.testing.assert_close(a, c, rtol=1e-6, atol=1e-8)
+
+
+def test_efforts_that_all_lanes_share_move_them_as_their_own_do(arm):
+    rng = np.random.default_rng(6)
+    windows, lanes, steps = 3, 7, 25
+    rollout = arm.rollout({p.name: torch.tensor(p.value, dtype=torch.float64) for p in arm.parameters})
+    start = torch.from_numpy(rng.normal(size=(6, windows, lanes))).unbind(0)
+    one = [torch.from_numpy(rng.normal(size=(steps, windows, 1))) for _ in range(4)]
+    shared = [x.expand(-1, -1, lanes) for x in one]
+    friction = friction_of(arm, arm.default_parameters(), None)
+    found = [
+        rollout.run(
+            RolloutInput(
+                STEP, start, torch.zeros(windows, 1, dtype=torch.float64), each[:2], each[2:], None, friction
+            )
+        )
+        for each in (shared, [x.clone(memory_format=torch.contiguous_format) for x in shared])
+    ]
+    for a, b in zip(found[0].value, found[1].value, strict=True):
+        assert torch.equal(a, b)
 
 
 def test_effects_that_remember_the_way_of_a_joint_have_no_compiled_rollout(arm):

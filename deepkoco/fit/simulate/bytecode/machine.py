@@ -16,7 +16,7 @@ from deepkoco.systems.dry_friction import CLOSE, SWEEPS
 from deepkoco.systems.dry_friction_loop import rub
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "372652d144c50876"
+COMPILED_WITH = "f67a0c2b026efcab"
 
 OPCODES = (
     "add", "sub", "mul", "div", "neg", "abs", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh",
@@ -27,7 +27,8 @@ OPCODES = (
 BLOCK = 128  # simulations in a block: its rows stay in the cache
 
 
-@njit(error_model="numpy", nogil=True, cache=True)
+# Nothing here makes an array. Counts of who holds one would take longer than an instruction.
+@njit(error_model="numpy", nogil=True, cache=True, _nrt=False)
 def execute(code: np.ndarray, table: np.ndarray, n: int) -> None:
     """Run instructions on the first n numbers of the rows of a table.
 
