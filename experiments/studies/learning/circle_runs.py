@@ -133,7 +133,7 @@ def run(method: str, seed: int, episodes: int | None) -> dict[str, Any]:
         episodes: Of the training; None: as stored.
 
     Returns:
-        Estimates, cost in the simulation, and flights: further delay, estimator, errors by radius, places of one flight.
+        Estimates, cost in the simulation, and flights: further delay, estimator, errors by radius, one way.
     """
     begun = time.process_time()
     values = identified(make_unit(seed, FURTHER), seed)
@@ -145,7 +145,7 @@ def run(method: str, seed: int, episodes: int | None) -> dict[str, Any]:
         policy = trainer.policy
     trained = time.process_time()
     first = derive_seed(seed, Purpose.FINAL_EVALUATION) % 2**31
-    ways = [(further, None) for further in SWEEP]
+    ways: list[tuple[float, dict[str, float] | None]] = [(further, None) for further in SWEEP]
     if method == "without":
         ways.append((FURTHER, values))
     flights = []

@@ -84,7 +84,8 @@ def draw(errors: pd.DataFrame) -> Figure:
                 rows = errors[(errors["label"] == label) & (errors["radius"] == radius)]
                 if rows.empty:
                     continue
-                delays = np.sort(rows["further_delay"].unique())
+                delays = sorted({float(delay) for delay in rows["further_delay"]})
+                times = 1e3 * np.array(delays)
                 bands = np.array(
                     [
                         mean_with_band(rows.loc[rows["further_delay"] == d, "path_error"].to_numpy())
@@ -92,9 +93,9 @@ def draw(errors: pd.DataFrame) -> Figure:
                     ]
                 )
                 style = {"marker": "o", "markersize": 4, "color": COLOURS[label], "label": text}
-                panel.plot(1e3 * delays, bands[:, 0], **style)
+                panel.plot(times, bands[:, 0], **style)
                 panel.fill_between(
-                    1e3 * delays, bands[:, 1], bands[:, 2], color=COLOURS[label], alpha=0.2, linewidth=0
+                    times, bands[:, 1], bands[:, 2], color=COLOURS[label], alpha=0.2, linewidth=0
                 )
             panel.axhline(WANTED, color="#555555", linestyle="--", linewidth=1)
             panel.set_yscale("log")

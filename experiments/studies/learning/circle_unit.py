@@ -20,7 +20,7 @@ STEP, TICK = 1e-3, 20  # [s], steps between two commands
 EARTH = 9.81  # [m/s2]
 NOISE = np.repeat((0.002, 0.02), 3)  # of places [m] and velocities [m/s]
 JITTER = 1e-3  # standard deviation of a delay [s]
-SIMULATION = {"system": "quadrotor", "task": "quadrotor_circle"}
+SIMULATION: dict[str, Any] = {"system": "quadrotor", "task": "quadrotor_circle"}
 
 
 class QuadrotorUnits(VectorEnv):
