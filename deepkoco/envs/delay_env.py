@@ -15,6 +15,7 @@ from torch import Tensor
 from deepkoco.engines.assembly import command_window, longest_further_delay
 from deepkoco.engines.ode import World
 from deepkoco.engines.sensor import Sensor
+from deepkoco.envs.action_range import command_range, held_effort
 from deepkoco.envs.graph_env import FIRST_STEPS, GraphEnv
 from deepkoco.envs.graph_vector_env import GraphVectorEnv
 from deepkoco.envs.nodes import TaskAgent
@@ -67,17 +68,23 @@ class DelayGraphVectorEnv(GraphVectorEnv):
         self.render_mode, self.render_size = render_mode, render_size
         self.task = self.settings.find_task()
         self.system = self.task.scene(self.settings.make_system())
-        self.limits = np.array(self.task.command_limits)
+        self.lowest, self.highest = command_range(self.task.command_limits, self.system)
         physical = self.settings.action_units == "physical"
-        self.action_scale = np.ones_like(self.limits) if physical else self.limits
-        bound = (self.limits / self.action_scale).astype(np.float32)
+        # An action of 0 is the middle of what a command can be, as with a thrust that only pushes.
+        self.action_centre = np.zeros_like(self.highest) if physical else 0.5 * (self.lowest + self.highest)
+        self.action_scale = np.ones_like(self.highest) if physical else 0.5 * (self.highest - self.lowest)
+        low, high = (
+            ((end - self.action_centre) / self.action_scale).astype(np.float32)
+            for end in (self.lowest, self.highest)
+        )
         entries = np.array(self.task.observation_bounds, np.float32)
         entries = np.tile(entries, 1 + self.settings.observation_history)
-        entries = np.concatenate([entries, np.tile(bound, self.settings.action_history)])
+        past = np.tile(np.maximum(-low, high), self.settings.action_history)
+        entries = np.concatenate([entries, past])
         super().__init__(
             num_envs,
             self._make_graph(),
-            spaces.Box(-bound, bound, dtype=np.float32),
+            spaces.Box(low, high, dtype=np.float32),
             spaces.Box(-entries, entries, dtype=np.float32),
             max_episode_steps,
             randomize=self.settings.randomize,
@@ -125,6 +132,7 @@ class DelayGraphVectorEnv(GraphVectorEnv):
                 settings.action_history,
                 self.action_scale.tolist(),
                 settings.observation_history,
+                self.action_centre.tolist(),
             ),
         ]
         # The longest delay that one command can have, against the shortest that all can have.
@@ -144,7 +152,7 @@ class DelayGraphVectorEnv(GraphVectorEnv):
         from deepkoco.envs.estimated import between_sensor_and_agent  # the fits are a second of imports
 
         own, joined = between_sensor_and_agent(
-            self.system, self.task, settings, sensing, actuation, float(sensor_rate)
+            self.system, self.task, settings, sensing, self._expected_actuation(), float(sensor_rate)
         )
         return Graph([*nodes, own], [*connections, *joined])
 
@@ -163,6 +171,13 @@ class DelayGraphVectorEnv(GraphVectorEnv):
             )
         return law if own == 0.0 else Deterministic(float(law.mean) + own)
 
+    def _expected_actuation(self) -> float:
+        """Delay of the soonest command as a model expects it that does not know what is drawn: mid-range [s]."""
+        given = self.settings.randomize.get("actuation_delay")
+        own = float(self.system.timing(self.system.default_parameters()).actuation_delay)
+        mean = float(make_delay(self.settings.actuation_delay).mean) if given is None else 0.5 * sum(given)
+        return mean + own
+
     def _ends_of_ranges(self, end: int) -> dict[str, Tensor]:
         """Nominal parameters; of a range the bottom (0) or the top (1)."""
         ranges = self.settings.randomize
@@ -177,23 +192,27 @@ class DelayGraphVectorEnv(GraphVectorEnv):
 
     def _start(self, batch: int, generator: torch.Generator) -> dict[str, State]:
         start = self.task.start(self.system, batch, generator)
-        return {"world": {"state": start}, "sensor": {"start": start.clone()}}
+        world = {"state": start, **held_effort(self.task, self.system, batch)}
+        return {"world": world, "sensor": {"start": start.clone()}}
 
     def _given(self, options: Mapping[str, Any]) -> Mapping[str, State]:
         if options.get("initial_state") is None:
             return {}
         start = torch.as_tensor(options["initial_state"], dtype=torch.float64)
-        return {"world": {"state": start}, "sensor": {"start": start}}
+        world = {"state": start, **held_effort(self.task, self.system, len(start))}
+        return {"world": world, "sensor": {"start": start}}
 
     def _command(self, actions: Any) -> np.ndarray:
         # Two ufuncs cost a third of np.clip for few numbers.
-        return np.minimum(
-            np.maximum(super()._command(actions) * self.action_scale, -self.limits), self.limits
-        )
+        given = super()._command(actions) * self.action_scale + self.action_centre
+        return np.minimum(np.maximum(given, self.lowest), self.highest)
 
     def command_of(self, actions: Tensor) -> Tensor:
-        scale, limits = torch.from_numpy(self.action_scale), torch.from_numpy(self.limits)
-        return (super().command_of(actions) * scale).clamp(-limits, limits)
+        scale, centre, low, high = (
+            torch.from_numpy(each)
+            for each in (self.action_scale, self.action_centre, self.lowest, self.highest)
+        )
+        return (super().command_of(actions) * scale + centre).clamp(low, high)
 
 
 class DelayGraphEnv(GraphEnv):

@@ -5,16 +5,22 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from deepkoco.envs.action_range import command_range
 from deepkoco.envs.settings import EnvironmentSettings, SettingsError
 from deepkoco.envs.task_randomization import ESTIMATOR
 from deepkoco.envs.tasks import Task
 from deepkoco.fit.state.estimator_node import StateEstimator
+from deepkoco.fit.state.lags import LagStates, mean_further_delay
 from deepkoco.fit.state.unscented import FilterError
 from deepkoco.graph import Connection
 from deepkoco.graph.delay import Delay
 from deepkoco.systems import System
 
 START_POSITION, START_SPEED = 3.0, 10.0  # spread before the first measurement [rad or m; per second]
+START_EFFORT, EFFORT_NOISE = (
+    0.1,
+    0.1,
+)  # of actuators that lag, as a share of their range; per root of a second
 MOST_MESSAGES = 6  # measurements taken in at a tick; each is a part of the compiled step
 
 
@@ -23,9 +29,9 @@ class FilterSettings:
     """What a filter of a task's system takes for granted.
 
     Attributes:
-        noise_density: (S,) spectral density of the process noise of each state.
+        noise_density: (S + L,) spectral density of the process noise of each state, and of each effort that lags.
         noise_sd: (N,) standard deviation of each sensor, in the channel's unit.
-        start_sd: (S,) standard deviation before the first measurement.
+        start_sd: (S + L,) standard deviation before the first measurement.
     """
 
     noise_density: tuple[float, ...]
@@ -44,11 +50,21 @@ def filter_settings(scene: System, task: Task, process_noise: float) -> FilterSe
     joints, states = scene.joints, len(scene.state_names)
     # Of states behind the positions and speeds nothing is known; they get what the speeds get.
     limit = task.speed_limit if math.isfinite(task.speed_limit) else START_SPEED
+    low, high = command_range(task.command_limits, scene)
+    # A command without limits says nothing about the size of its effort.
+    ranges = [float(r) if math.isfinite(r) else 1.0 for r in 0.5 * (high - low)]
+    lagging = [ranges[k] for k in LagStates(scene).commands]
     return FilterSettings(
-        tuple(0.0 if i < joints else process_noise**2 for i in range(states)),
+        (
+            *(0.0 if i < joints else process_noise**2 for i in range(states)),
+            *((EFFORT_NOISE * size) ** 2 for size in lagging),
+        ),
         # A sensor that declares no noise still rounds and drifts: a share of what it can show.
         tuple(c.noise_sd or 1e-4 * min(max(abs(c.low), abs(c.high)), 10.0) for c in scene.measurements),
-        tuple(START_POSITION if i < joints else limit for i in range(states)),
+        (
+            *(START_POSITION if i < joints else limit for i in range(states)),
+            *(START_EFFORT * size for size in lagging),
+        ),
     )
 
 
@@ -57,7 +73,7 @@ def between_sensor_and_agent(
     task: Task,
     settings: EnvironmentSettings,
     sensing: Delay,
-    actuation: Delay,
+    actuation: float,
     sensor_rate: float,
 ) -> tuple[StateEstimator, list[Connection]]:
     """The node and its connections.
@@ -66,7 +82,8 @@ def between_sensor_and_agent(
         scene: The system with what the task adds; the model of the filter.
         task: Gives the rate and the limits of commands.
         settings: Of the environment.
-        sensing, actuation: Delays from the sensor and to the world.
+        sensing: Delay from the sensor.
+        actuation: Expected delay of the soonest command to the world [s].
         sensor_rate: Measurements per second [Hz].
 
     Raises:
@@ -74,10 +91,7 @@ def between_sensor_and_agent(
     """
     rate, period = task.control_rate, 1.0 / sensor_rate
     own = filter_settings(scene, task, settings.process_noise)
-    limits = tuple(
-        (max(-most, c.low), min(most, c.high))
-        for most, c in zip(task.command_limits, scene.commands, strict=True)
-    )
+    low, high = command_range(task.command_limits, scene)
     # Messages are taken in at ticks, so the oldest that is new has waited for up to a period of the agent.
     late = (float(sensing.mean) if sensing.constant else sensing.highest) + period
     try:
@@ -86,12 +100,13 @@ def between_sensor_and_agent(
             rate,
             own.noise_density,
             own.noise_sd,
-            ahead=float(actuation.mean) if settings.estimator == "predicted" else None,
-            actuation_delay=float(actuation.mean),
+            ahead=actuation + mean_further_delay(scene) if settings.estimator == "predicted" else None,
+            actuation_delay=actuation,
             measurement_period=period,
             latest=float(sensing.mean) + period,
             start_sd=own.start_sd,
-            command_limits=limits,
+            command_limits=tuple(zip(low.tolist(), high.tolist(), strict=True)),
+            idle=tuple(task.idle(scene).tolist()),
             name=ESTIMATOR,
         )
     except FilterError as error:

@@ -13,12 +13,20 @@ from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from torch import Tensor
 
+from deepkoco.envs.action_range import command_range
 from deepkoco.envs.delay_arguments import step_rate
 from deepkoco.envs.estimated import filter_settings
 from deepkoco.envs.seeds import Seeds
 from deepkoco.envs.settings import ESTIMATORS, SettingsError
 from deepkoco.envs.tasks import Task
-from deepkoco.fit.state.estimator import DelayedEstimator, Memory, system_derivative
+from deepkoco.fit.state.estimator import (
+    LONGEST_STEP,
+    DelayedEstimator,
+    Memory,
+    system_derivative,
+    system_measurement,
+)
+from deepkoco.fit.state.lags import LagStates, mean_further_delay
 from deepkoco.fit.state.unscented import Belief
 from deepkoco.systems import System, any_system
 
@@ -67,23 +75,38 @@ class Estimates:
         self.model = system if model is None else task.scene(any_system(model))
         self.predicts = estimator == "predicted"
         expected = getattr(env, "expected_delays", None)
-        self.actuation_delay = float(_or(actuation_delay, getattr(expected, "actuation", None)))
+        own = float(self.model.timing(self.model.default_parameters()).actuation_delay)
+        outside = float(_or(None, getattr(expected, "actuation", None)))
+        self.actuation_delay = float(_or(actuation_delay, outside + own))
+        self.ahead = self.actuation_delay + mean_further_delay(self.model)
         sensing = None if expected is None else max(expected.sensing.values(), default=0.0)
         self.sensing_delay = float(_or(sensing_delay, sensing))
         self.scale = torch.as_tensor(np.array(_or(_attribute(env, "action_scale"), 1.0)), dtype=torch.float64)
-        self.limits = torch.tensor(task.command_limits, dtype=torch.float64)
+        self.centre = torch.as_tensor(
+            np.array(_or(_attribute(env, "action_centre"), 0.0)), dtype=torch.float64
+        )
+        self.low, self.high = (
+            torch.from_numpy(end) for end in command_range(task.command_limits, self.model)
+        )
+        parameters = self.model.default_parameters()
+        self.lags = LagStates(self.model)
+        further = self.model.further_delays(parameters)
         self.width = len(task.observation_bounds)
         own = filter_settings(self.model, task, process_noise)
         self._start = torch.diag(torch.tensor(own.start_sd, dtype=torch.float64))
         self._filter = DelayedEstimator(
-            system_derivative(self.model, self.model.default_parameters()),
-            self.model.ideal_measurement,
+            system_derivative(self.model, parameters),
+            system_measurement(self.model),
             torch.diag(torch.tensor(own.noise_density, dtype=torch.float64)),
             torch.tensor(own.noise_sd, dtype=torch.float64),
             kept=2,  # observations come in order
             angle=torch.tensor([c.angle for c in self.model.measurements]),
+            # A step much longer than a time constant would not be stable.
+            longest_step=min(LONGEST_STEP, self.lags.shortest),
+            further=None if further is None else torch.stack(further).to(torch.float64),
         )
-        delays = self.actuation_delay + self.sensing_delay
+        self._idle = task.idle(self.model)
+        delays = self.ahead + self.sensing_delay
         self._commands = max(MOST_COMMANDS, math.ceil(REACH * delays * rate))
         self._memory: Memory | None = None
         self._time = torch.zeros(count, dtype=torch.float64)
@@ -95,11 +118,12 @@ class Estimates:
         self._tell_time(info)
         age = self._age(info)
         size = len(self._start)
-        belief = Belief(
-            torch.zeros(self.count, size, dtype=torch.float64),
-            self._start.expand(self.count, size, size),
-        )
-        idle = torch.zeros(self.count, len(self.limits), dtype=torch.float64)
+        idle = self._idle.expand(self.count, -1)
+        mean = torch.zeros(self.count, size, dtype=torch.float64)
+        if self.lags.commands:
+            held = self.model.actuate(self.model.effort_of(idle), self.model.default_parameters())
+            mean[:, self.lags.states :] = self.lags.efforts(held)
+        belief = Belief(mean, self._start.expand(self.count, size, size))
         fresh = self._filter.start(belief, self._time - age, idle, self._commands)
         fresh = self._filter.receive(fresh, self._time, self._measured(observation), age)
         if mask is not None and self._memory is not None:
@@ -110,7 +134,7 @@ class Estimates:
         """Take note of the actions (B, M) of this step."""
         assert self._memory is not None
         given = torch.as_tensor(np.asarray(actions), dtype=torch.float64).reshape(self.count, -1)
-        command = torch.minimum(torch.maximum(given * self.scale, -self.limits), self.limits)
+        command = torch.minimum(torch.maximum(given * self.scale + self.centre, self.low), self.high)
         self._memory = self._filter.send(self._memory, self._time, command, self.actuation_delay)
         self._time = self._time + self.period
 
@@ -128,10 +152,12 @@ class Estimates:
         """Observations (B, N) with the estimate in the place of the newest measurement."""
         assert self._memory is not None
         if self.predicts:
-            belief = self._filter.estimate(self._memory, self._time, self.actuation_delay)
+            belief = self._filter.estimate(self._memory, self._time, self.ahead)
         else:
             belief, _ = self._memory.newest()
-        seen = self.task.observation(self.model, self.model.ideal_measurement(belief.mean)).numpy()
+        seen = self.task.observation(
+            self.model, self.model.ideal_measurement(self.lags.plain(belief.mean))
+        ).numpy()
         result = np.array(observation)
         result[..., : self.width] = seen.astype(result.dtype)
         return result

@@ -28,23 +28,30 @@ class TaskAgent(Supervisor):
         history: How many steps' commands are appended.
         scale: Commands are divided by it (M,) before they are appended, in the commands' units.
         observations: How many observations of the steps before are appended.
+        centre: What is taken from commands before they are divided (M,), in the commands' units; None: 0.
     """
 
     inputs = ("truth", "sensor")
 
     def __init__(
-        self, scene: System, task: Task, history: int, scale: Sequence[float], observations: int = 0
+        self,
+        scene: System,
+        task: Task,
+        history: int,
+        scale: Sequence[float],
+        observations: int = 0,
+        centre: Sequence[float] | None = None,
     ) -> None:
         self.width = len(scene.commands)
-        idle = torch.zeros(self.width, dtype=torch.float64)
-        super().__init__(rate=task.control_rate, initial_action=idle)
+        super().__init__(rate=task.control_rate, initial_action=task.idle(scene))
         self.scene, self.task, self.history, self.scale = scene, task, history, tuple(scale)
         self.observations = observations
+        self.centre = (0.0,) * self.width if centre is None else tuple(centre)
 
     def init(self, parameters: Parameters, generator: torch.Generator, batch: int) -> State:
         state = {
             "truth": torch.zeros(batch, len(self.scene.state_names), dtype=torch.float64),
-            "command": torch.zeros(batch, self.width, dtype=torch.float64),
+            "command": self.initial_action.expand(batch, self.width).clone(),
         }
         if self.history:
             state["history"] = torch.zeros(batch, self.history * self.width, dtype=torch.float64)
@@ -68,7 +75,8 @@ class TaskAgent(Supervisor):
             observation = torch.cat([now, before], 1)
             state["observations"] = observation[:, : before.shape[1]]
         if self.history:
-            scaled = [action[:, i : i + 1] / scale for i, scale in enumerate(self.scale)]
+            pairs = zip(self.centre, self.scale, strict=True)
+            scaled = [(action[:, i : i + 1] - middle) / scale for i, (middle, scale) in enumerate(pairs)]
             state["history"] = torch.cat([*scaled, state["history"][:, : -self.width]], 1)
             observation = torch.cat([observation, state["history"]], 1)
         readings = {"observation": observation, "reward": reward}

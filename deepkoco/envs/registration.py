@@ -18,6 +18,8 @@ ENVIRONMENTS: dict[str, tuple[int, dict]] = {
     # The tip of a two-link arm tracks a target on a circle; the second has a target at rest.
     "deepkoco/Manipulator-v0": (200, {"system": "two_link_arm", "task": "manipulator"}),
     "deepkoco/ManipulatorFixedTarget-v0": (200, {"system": "two_link_arm", "task": "manipulator_fixed"}),
+    # A quadrotor follows a circle of a drawn radius; its own lags and delays are part of the system.
+    "deepkoco/QuadrotorCircle-v0": (250, {"system": "quadrotor", "task": "quadrotor_circle"}),
 }
 
 # A robot and a task of one's own: `deepkoco train --system arm.xml --task my_task.py:Swing`, see docs/own_robot.md.

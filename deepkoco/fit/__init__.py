@@ -14,7 +14,7 @@ from deepkoco.fit.solve.cma import MissingExtraError, Search, cma_es
 from deepkoco.fit.solve.identifiability import Direction, unidentified
 from deepkoco.fit.solve.methods import METHODS, CmaEs, LevenbergMarquardt
 from deepkoco.fit.solve.prior import Prior
-from deepkoco.fit.state.estimator import DelayedEstimator, Memory, system_derivative
+from deepkoco.fit.state.estimator import DelayedEstimator, Memory, system_derivative, system_measurement
 from deepkoco.fit.state.estimator_node import StateEstimator
 from deepkoco.fit.state.unscented import Belief, FilterError, SigmaPoints
 
@@ -54,6 +54,7 @@ __all__ = [
     "moving",
     "seen_by_supervisor",
     "system_derivative",
+    "system_measurement",
     "unidentified",
     "window_length",
 ]

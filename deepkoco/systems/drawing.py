@@ -93,6 +93,36 @@ def draw_quadrotor_in_space(
     _disk(image, centre, 0.03 * size, MASS)
 
 
+def draw_flight_from_above(
+    image: np.ndarray, place: tuple[float, float, float], radius: float, reach: float = 1.5
+) -> None:
+    """Draw a quadrotor from above, x to the right and y up, and the circle it shall follow; higher is larger.
+
+    Args:
+        image: uint8 (size, size, 3).
+        place: x, y and z [m].
+        radius: Of the circle [m].
+        reach: This far [m] from the centre is in the picture.
+    """
+    size = image.shape[0]
+    ring = [
+        (radius * math.cos(2.0 * math.pi * k / 64), radius * math.sin(2.0 * math.pi * k / 64))
+        for k in range(65)
+    ]
+    points = [_place(size, point, reach) for point in ring]
+    for start, end in itertools.pairwise(points):
+        _line(image, start, end, TARGET, max(1, round(0.008 * size)))
+    x, y, z = (float(np.clip(value, -reach, reach)) for value in place)
+    centre = _place(size, (x, y), reach)
+    arm = 0.05 * size * (1.0 + 0.6 * z)
+    for way in ((1.0, 1.0), (1.0, -1.0)):
+        ends = [(centre[0] + s * arm * way[0], centre[1] + s * arm * way[1]) for s in (-1.0, 1.0)]
+        _line(image, ends[0], ends[1], INK, max(1, round(0.012 * size)))
+        for end in ends:
+            _disk(image, end, 0.02 * size, ROD)
+    _disk(image, centre, 0.02 * size, MASS)
+
+
 def draw_command(image: np.ndarray, fraction: float) -> None:
     """Draw the command as an arc; ``fraction`` in [-1, 1] of the command's limit."""
     size = image.shape[0]

@@ -5,7 +5,6 @@ import json
 import numpy as np
 import pytest
 
-from deepkoco.runs.settings import ExperimentError
 from experiments.studies.learning import delay_compensation as study
 from experiments.studies.learning import delay_compensation_runs as runs
 
@@ -57,15 +56,3 @@ def test_results_become_tables_and_a_figure(tmp_path):
     # Student's t with one degree of freedom: 12.706 times 0.0707 / sqrt(2), so 95 +- 63.5 %.
     assert line == "| predicted | 95.0 % [31.5, 158.5] | 90.0 % | 50.0 % | 170 | 30 to 31 |"
     assert len(study.draw(shares).axes) == 1
-
-
-def test_a_run_that_fails_is_named(tmp_path, monkeypatch):
-    monkeypatch.setattr(study.sys, "executable", "/bin/false")
-    with pytest.raises(ExperimentError, match="stacked, seed 3: the run ended with status 1"):
-        study.run_once("stacked", 3, tmp_path, [])
-
-
-def test_what_is_done_is_not_done_again(tmp_path, monkeypatch):
-    monkeypatch.setattr(study.sys, "executable", "/bin/false")
-    (tmp_path / "stacked_3.json").write_text("{}")
-    study.run_once("stacked", 3, tmp_path, [])

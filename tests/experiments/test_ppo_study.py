@@ -5,7 +5,6 @@ import json
 import numpy as np
 import pytest
 
-from deepkoco.runs.settings import ExperimentError
 from experiments.studies.learning import ppo_runs, ppo_study
 
 TINY = {
@@ -59,15 +58,3 @@ def test_results_become_tables_and_curves(tmp_path):
     assert "| 170.0 | 2 of 2 | 32 to 32 | 40 to 40 |" in text[2]
     assert "| 180.0 | 1 of 2 |" in text[3]
     assert len(ppo_study.draw(curves).axes) == 2
-
-
-def test_a_training_that_fails_is_named(tmp_path, monkeypatch):
-    monkeypatch.setattr(ppo_study.sys, "executable", "/bin/false")
-    with pytest.raises(ExperimentError, match="ours, seed 3: the training ended with status 1"):
-        ppo_study.run_once("ours", 3, tmp_path)
-
-
-def test_what_is_done_is_not_done_again(tmp_path, monkeypatch):
-    monkeypatch.setattr(ppo_study.sys, "executable", "/bin/false")
-    (tmp_path / "ours_3.json").write_text("{}")
-    ppo_study.run_once("ours", 3, tmp_path)

@@ -1,5 +1,6 @@
 """Tasks: where an episode starts, what the agent sees and what it pays."""
 
+from deepkoco.envs.tasks.circle import CircleFollowing
 from deepkoco.envs.tasks.goal import GoalTask
 from deepkoco.envs.tasks.registry import (
     SWING_UPS,
@@ -16,6 +17,7 @@ from deepkoco.envs.tasks.tracking import Tracking
 __all__ = [
     "SWING_UPS",
     "TASKS",
+    "CircleFollowing",
     "FixedTask",
     "GoalTask",
     "SwingUp",

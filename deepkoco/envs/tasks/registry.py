@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+from deepkoco.envs.tasks.circle import CircleFollowing
 from deepkoco.envs.tasks.goal import GoalTask
 from deepkoco.envs.tasks.swing_up import SwingUp
 from deepkoco.envs.tasks.task import Task
@@ -19,6 +20,7 @@ from deepkoco.own_objects import (
     names_object,
 )
 from deepkoco.suggestion import did_you_mean
+from deepkoco.systems.bodies.quadrotor_height import FULL_THRUST
 
 SWING_UPS: dict[str, SwingUp] = {
     task.system: task
@@ -35,6 +37,9 @@ TASKS: dict[str, Task] = {
     **SWING_UPS,
     "manipulator": MANIPULATOR,
     "manipulator_fixed": replace(MANIPULATOR, rate=0.0),
+    "quadrotor_circle": CircleFollowing(
+        "quadrotor", (FULL_THRUST, 0.5, 0.5), speed_limit=5.0, control_rate=50.0
+    ),
 }
 
 

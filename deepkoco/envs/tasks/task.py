@@ -138,6 +138,10 @@ class Task(ABC):
         unit = torch.rand(batch, len(ranges), generator=generator, dtype=torch.float64)
         return low + (high - low) * unit
 
+    def idle(self, scene: System) -> Tensor:
+        """Commands (M,) that are held before the first action arrives, float64: what holds up a body that flies."""
+        return torch.zeros(len(scene.commands), dtype=torch.float64)
+
     def observation(self, scene: System, measurement: Tensor) -> Tensor:
         """What the agent sees (..., N) of a measurement (..., L): by default angles as cosine and sine."""
         entries = []

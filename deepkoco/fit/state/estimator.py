@@ -10,6 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from deepkoco.fit.state.lags import LagStates
 from deepkoco.fit.state.unscented import Belief, FilterError, SigmaPoints, predict, update
 from deepkoco.systems import Parameters, System
 
@@ -84,6 +85,7 @@ class DelayedEstimator:
         points: Parameters of the sigma points.
         angle: (N,) True for channels that are wrapped angles [rad].
         longest_step: Longest integration step [s].
+        further: (M,) how much longer than tau_a each command takes until it acts [s]; None: all act at the same time.
 
     Raises:
         FilterError: A density is not symmetric and positive semidefinite, or ``kept`` is below 1.
@@ -102,6 +104,7 @@ class DelayedEstimator:
         points: SigmaPoints | None = None,
         angle: Tensor | None = None,
         longest_step: float = LONGEST_STEP,
+        further: Tensor | None = None,
     ) -> None:
         if kept < 1:
             raise FilterError(f"kept: {kept}; an estimator must keep at least one measurement")
@@ -110,6 +113,7 @@ class DelayedEstimator:
         self._constant = None if callable(noise_density) else _root_of(noise_density)
         self.kept, self.angle, self.longest_step = kept, angle, longest_step
         self.points = SigmaPoints() if points is None else points
+        self.further = further
 
     def start(self, belief: Belief, since: Tensor, command: Tensor, commands: int = 64) -> Memory:
         """Memory before the first measurement.
@@ -228,11 +232,14 @@ class DelayedEstimator:
 
     def _predict_until(self, memory: Memory, belief: Belief, start: Tensor, stop: Tensor) -> Belief:
         """Predict a belief from ``start`` to ``stop`` (B,) [s], in one piece per command that acts in between."""
-        edges = torch.cat([start[:, None], memory.acts, stop[:, None]], 1)
+        changes = memory.acts
+        if self.further is not None:
+            changes = (memory.acts[..., None] + self.further).flatten(1).sort(1).values
+        edges = torch.cat([start[:, None], changes, stop[:, None]], 1)
         edges = torch.minimum(torch.maximum(edges, start[:, None]), stop[:, None])
         length = edges.diff(dim=1)  # (B, C + 1)
         for c in torch.nonzero((length > 0).any(0))[:, 0].tolist():
-            command = memory.command[:, max(c - 1, 0), None]
+            command = self._held(memory, c, edges[:, c])
             count = max(math.ceil(float(length[:, c].max()) / self.longest_step - 1e-9), 1)
             step = length[:, c] / count
             for i in range(count):
@@ -240,6 +247,17 @@ class DelayedEstimator:
                 moved = predict(belief, self._transition(command, step[:, None, None]), root, self.points)
                 belief = moved.where(step > 0, belief)
         return belief
+
+    def _held(self, memory: Memory, piece: int, since: Tensor) -> Tensor:
+        """Commands (B, 1, M) that act in a piece which begins at ``since`` (B,)."""
+        if self.further is None:
+            return memory.command[:, max(piece - 1, 0), None]
+        parts = []
+        for k, delay in enumerate(self.further):
+            acts = (memory.acts + delay).contiguous()
+            newest = torch.searchsorted(acts, since[:, None].contiguous(), right=True) - 1
+            parts.append(memory.command[..., k].gather(1, newest.clamp_min(0)))
+        return torch.stack(parts, -1)
 
     def _transition(self, command: Tensor, h: Tensor) -> Callable[[Tensor], Tensor]:
         def step(state: Tensor) -> Tensor:
@@ -261,10 +279,20 @@ class DelayedEstimator:
 def system_derivative(system: System, parameters: Parameters) -> Derivative:
     """Equations of motion of a system (`deepkoco.systems.System`) in the form that the estimator needs.
 
+    The efforts of actuators with a time constant are states behind the system's own, see `LagStates`: the state then
+    has S + L entries, and `system_measurement` is what goes with it.
+
     Args:
-        system: The system. Its delays are not included: `send` and `receive` take them.
+        system: The system. Its delays are not included: `send` and `receive` take them, and ``further`` those of each
+            command.
         parameters: Named values, each scalar or (B, 1).
     """
+    lags = LagStates(system)
+
+    def lagging(points: Tensor, command: Tensor) -> Tensor:
+        target = system.actuate(system.effort_of(command), parameters)
+        acting, slopes = lags.slopes(points, target.expand(*points.shape[:2], *target.shape[2:]), parameters)
+        return torch.cat([system.derivative(lags.plain(points), acting, parameters), slopes], -1)
 
     def derivative(state: Tensor, command: Tensor) -> Tensor:
         effort = system.actuate(
@@ -272,7 +300,13 @@ def system_derivative(system: System, parameters: Parameters) -> Derivative:
         )  # (B, 1), or (B, 1, M) of several commands
         return system.derivative(state, effort.expand(*state.shape[:2], *effort.shape[2:]), parameters)
 
-    return derivative
+    return lagging if lags.commands else derivative
+
+
+def system_measurement(system: System) -> Callable[[Tensor], Tensor]:
+    """What sensors without any error show (B, K, N) of states (B, K, S + L) of `system_derivative`."""
+    lags = LagStates(system)
+    return lambda points: system.ideal_measurement(lags.plain(points))
 
 
 def _root_of(density: Tensor) -> Tensor:

@@ -10,8 +10,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,11 +21,13 @@ from matplotlib.figure import Figure
 
 from deepkoco.agent.mean_interval import mean_with_band
 from deepkoco.output.picture import as_png, house_style
-from deepkoco.output.whole_file import write_whole_text, writing
+from deepkoco.output.whole_file import writing
 from deepkoco.runs.settings import ExperimentError
-from experiments.plumbing.provenance import as_markdown, provenance
+from experiments.plumbing.own_process import run_once
+from experiments.plumbing.provenance import as_markdown
 from experiments.studies.learning.delay_compensation_runs import METHODS, Delays
 
+RUNS = "experiments.studies.learning.delay_compensation_runs"
 COLOURS = {
     "full_state": "#9a9a9a",
     "stacked": "#E69F00",
@@ -36,47 +36,6 @@ COLOURS = {
     "predicted": "#0072B2",
 }
 WANTED = 0.95  # share of the time upright that the prediction is to reach
-
-
-def run_once(method: str, seed: int, folder: Path, options: Sequence[str]) -> None:
-    """Train and evaluate once in a process of its own, unless that is done.
-
-    Args:
-        method: A name of `METHODS`.
-        seed: Of the run.
-        folder: Where METHOD_SEED.json goes.
-        options: Further arguments of the process.
-
-    Raises:
-        ExperimentError: The run failed.
-    """
-    path = folder / f"{method}_{seed}.json"
-    if path.exists():
-        return
-    unfinished = path.with_suffix(".part")
-    command = [
-        sys.executable,
-        "-m",
-        "experiments.studies.learning.delay_compensation_runs",
-        method,
-        str(seed),
-        str(unfinished),
-        *options,
-    ]
-    process = subprocess.Popen(command, env={**os.environ, "OMP_NUM_THREADS": "1"})
-    _, status, usage = os.wait4(process.pid, 0)
-    process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
-        raise ExperimentError(f"{method}, seed {seed}: the run ended with status {process.returncode}")
-    measured = {
-        "method": method,
-        "seed": seed,
-        "cpu_seconds": usage.ru_utime + usage.ru_stime,
-        "commit": provenance()["commit"],
-        "options": " ".join(options),
-    }
-    write_whole_text(path, json.dumps({**measured, **json.loads(unfinished.read_text())}, indent=1))
-    unfinished.unlink()
 
 
 def tables(folder: Path) -> tuple[pd.DataFrame, pd.DataFrame]:
@@ -197,7 +156,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             folder.mkdir(parents=True, exist_ok=True)
         for seed in args.seeds:
             for method in args.methods:
-                run_once(method, seed, folder, options)
+                run_once(RUNS, method, seed, folder, options)
                 runs, shares = tables(folder)
                 runs.to_csv(args.out / "runs.csv", index=False, float_format="%.3f")
                 shares.to_csv(args.out / "upright.csv", index=False, float_format="%.4f")

@@ -11,10 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import subprocess
 import sys
-import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -25,11 +22,13 @@ from matplotlib.figure import Figure
 
 from deepkoco.agent.mean_interval import mean_with_band
 from deepkoco.output.picture import as_png, house_style
-from deepkoco.output.whole_file import write_whole_text, writing
+from deepkoco.output.whole_file import writing
 from deepkoco.runs.settings import ExperimentError
-from experiments.plumbing.provenance import as_markdown, provenance
+from experiments.plumbing.own_process import run_once
+from experiments.plumbing.provenance import as_markdown
 from experiments.studies.learning.ppo_runs import METHODS
 
+RUNS = "experiments.studies.learning.ppo_runs"
 LABELS = {
     "ours": "ours",
     "stable_baselines3": "Stable-Baselines3",
@@ -43,46 +42,6 @@ COLOURS = {
     "stable_baselines3_without_limit": "#E69F00",
 }
 SOLVED = 175.0
-
-
-def run_once(method: str, seed: int, folder: Path) -> None:
-    """Train once in a process of its own, unless that is done.
-
-    Args:
-        method: A name of `METHODS`.
-        seed: Of the run.
-        folder: Where METHOD_SEED.json goes.
-
-    Raises:
-        ExperimentError: The training failed.
-    """
-    path = folder / f"{method}_{seed}.json"
-    if path.exists():
-        return
-    unfinished = path.with_suffix(".part")
-    command = [
-        sys.executable,
-        "-m",
-        "experiments.studies.learning.ppo_runs",
-        method,
-        str(seed),
-        str(unfinished),
-    ]
-    started = time.perf_counter()
-    process = subprocess.Popen(command, env={**os.environ, "OMP_NUM_THREADS": "1"})
-    _, status, usage = os.wait4(process.pid, 0)
-    process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
-        raise ExperimentError(f"{method}, seed {seed}: the training ended with status {process.returncode}")
-    measured = {
-        "method": method,
-        "seed": seed,
-        "cpu_seconds": usage.ru_utime + usage.ru_stime,
-        "wall_seconds": time.perf_counter() - started,
-        "commit": provenance()["commit"],
-    }
-    write_whole_text(path, json.dumps({**measured, **json.loads(unfinished.read_text())}, indent=1))
-    unfinished.unlink()
 
 
 def tables(folder: Path) -> tuple[pd.DataFrame, pd.DataFrame]:
@@ -163,7 +122,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             folder.mkdir(parents=True, exist_ok=True)
         for seed in args.seeds:
             for method in args.methods:
-                run_once(method, seed, folder)
+                run_once(RUNS, method, seed, folder)
                 runs, curves = tables(folder)
                 runs.to_csv(args.out / "runs.csv", index=False, float_format="%.3f")
                 curves.to_csv(args.out / "curves.csv", index=False, float_format="%.3f")
