@@ -26,7 +26,7 @@ FILTERS = ("none", "now", "constant", "flow")
 LONGEST_AGE = 480.0
 """At the lowest flow the pipe takes 400 s [s]."""
 WORLD_RATE, CONTROL_RATE = 1.0, 0.1
-STEP = 20.0  # of the filter's integration [s]
+STEP = 60.0  # of the filter's integration; over it the mean command is held [s]
 AFTER = 1.0  # controllers run so long after the thermometer: its messages have arrived by then [s]
 
 
@@ -136,25 +136,30 @@ def pool_graph(options: PoolOptions | None = None) -> Graph:
     return Graph(nodes, connections)
 
 
-def pool_start(
-    graph: Graph, temperature: Tensor, goal: Tensor, parameters: dict[str, dict[str, Tensor]] | None = None
-) -> dict[str, State]:
+def pool_start(graph: Graph, temperature: Tensor, goal: Tensor) -> dict[str, State]:
     """Start states by node in which all water has one temperature (B,) and the agent a goal (B,) [deg C].
 
     Args:
         graph: As `pool_graph` made it.
         temperature, goal: See above.
-        parameters: By node, where they are not nominal.
     """
     world, seat = graph.node("world"), graph.node("agent")
     assert isinstance(world, PoolWorld)
     assert isinstance(seat, PoolSeat)
     fresh = seat.init({}, torch.Generator(), len(temperature))
-    return {
-        "world": world.start(temperature, (parameters or {}).get("world", {})),
-        "probe": {"temperature": temperature.clone()},
+    states = {
+        "world": world.start(temperature),
+        "probe": {
+            "temperature": temperature.clone(),
+            "seen": torch.full((len(temperature),), -1, dtype=torch.int64),
+        },
         "agent": {"goal": goal, "before": temperature.clone(), "actions": fresh["actions"]},
     }
+    if "kalman" in graph.index:
+        # As one that begins with its first measurement.
+        zero = torch.zeros_like(temperature)
+        states["kalman"] = {"mean": torch.stack([temperature, zero, zero], -1)}
+    return states
 
 
 def _kalman(options: PoolOptions) -> KalmanNode:

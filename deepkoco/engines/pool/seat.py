@@ -12,6 +12,8 @@ from deepkoco.graph.model.node import Parameters, State
 
 LOWEST_PUMP = 0.1
 """Level at which the pump always runs: the pool needs some circulation."""
+LARGEST_FLOW = 1.5e-3  # by which the observation is scaled [m3/s]
+LARGEST = 30.0  # entry of an observation
 
 
 class PoolSeat(Supervisor):
@@ -70,9 +72,8 @@ class PoolSeat(Supervisor):
         cost = (
             (state["before"] - goal) ** 2 + self.heat_weight * heat**2 + self.pump_weight * action[:, 1] ** 3
         )
-        parts = torch.stack(
-            [goal - measured, goal - 30.0, probe["flow"][:, -1] / LARGEST_FLOW, goal - best], -1
-        )
+        flow = probe["flow"][:, -1] / LARGEST_FLOW
+        parts = torch.stack([goal - measured, goal - 30.0, flow, goal - best], -1).clamp(-LARGEST, LARGEST)
         after = {"goal": goal, "before": pool, "actions": state["actions"]}
         if self.history:
             scaled = torch.stack(
@@ -88,6 +89,3 @@ class PoolSeat(Supervisor):
             "goal": goal,
             "transport_delay": delay,
         }
-
-
-LARGEST_FLOW = 1.5e-3  # by which the observation is scaled [m3/s]

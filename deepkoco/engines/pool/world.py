@@ -40,11 +40,14 @@ class PoolWorld(Node):
         self.cells = cells
 
     def init(self, parameters: Parameters, generator: torch.Generator, batch: int) -> State:
-        return self.start(torch.full((batch,), START_TEMPERATURE, dtype=torch.float64), parameters)
+        return self.start(torch.full((batch,), START_TEMPERATURE, dtype=torch.float64))
 
-    def start(self, temperature: Tensor, parameters: Parameters) -> State:
-        """The state in which all water is at one temperature (B,) [deg C]."""
-        state = start_pool(temperature, self._complete(parameters), self.cells)
+    def start(self, temperature: Tensor) -> State:
+        """The state in which all water is at one temperature (B,) [deg C].
+
+        Edges are kept as shares of the volume of the pipe, so a start does not depend on parameters.
+        """
+        state = start_pool(temperature, {"pipe_volume": torch.ones((), dtype=torch.float64)}, self.cells)
         return {
             "temperature": temperature,
             "edges": state.pipe.edges,
@@ -67,14 +70,15 @@ class PoolWorld(Node):
         begin = torch.maximum(time, own["refill_start"])
         end = torch.minimum(time + dt, own["refill_start"] + own["refill_time"])
         heat = heat - own["refill_heat"] * (end - begin).clamp_min(0.0) / dt
-        before = PoolState(state["temperature"], PipeFluid(state["edges"], state["values"]))
+        size = own["pipe_volume"].expand(len(time))[:, None]
+        before = PoolState(state["temperature"], PipeFluid(state["edges"] * size, state["values"]))
         after, outlet = pool_tick(before, heat, flow, time, dt, own, self.cells)
         # The first tick has nothing behind it.
         now = time + torch.where(started, dt, 0.0)
         wide = started[:, None]
         kept = {
             "temperature": torch.where(started, after.temperature, before.temperature),
-            "edges": torch.where(wide, after.pipe.edges, before.pipe.edges),
+            "edges": torch.where(wide, after.pipe.edges / size, state["edges"]),
             "values": torch.where(wide[..., None], after.pipe.values, before.pipe.values),
             "time": now,
             "started": torch.ones_like(started),
