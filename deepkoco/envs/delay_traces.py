@@ -18,6 +18,8 @@ Ranges = Mapping[str, tuple[float, float]]
 Delays = Mapping[str, Any]
 MIN_TRACES = 8  # traces of a pool with random delays, so that one environment need not draw at every reset
 
+LISTS = ("law", "samples", "components", "weights", "times", "delays")  # of a law, where a list is no range
+
 
 class DelayTraces:
     """Schedules drawn together, of which every episode takes one.
@@ -158,7 +160,7 @@ def law_ranges(name: str, law: Mapping[str, Any], known: set[str]) -> dict[str, 
         raise SettingsError(f'randomize: "{name}" is none of {", ".join(sorted(known))}')
     ranges = {}
     for key, value in law.items():
-        if key in ("law", "samples", "components", "weights") or not isinstance(value, (tuple, list)):
+        if key in LISTS or not isinstance(value, (tuple, list)):
             continue
         check_range(f"{name}.{key}", value, 0.0, np.inf, "")
         ranges[f"{name}.{key}"] = (float(value[0]), float(value[1]))

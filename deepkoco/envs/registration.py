@@ -26,6 +26,9 @@ ENVIRONMENTS: dict[str, tuple[int, dict]] = {
 ROBOT = "deepkoco/Robot-v0"
 ENVIRONMENTS[ROBOT] = (200, {"world_rate": None})
 
+# A pool whose thermometer sits behind a pipe: the delay depends on the pump, which is an action.
+POOL, POOL_STEPS = "deepkoco/Pool-v0", 200
+
 # A unit in virtual time, for policies that learn on it: task.id=deepkoco/Unit-v0 +task.kwargs.unit=UNIT.yaml
 UNIT, UNIT_STEPS = "deepkoco/Unit-v0", 200
 
@@ -45,6 +48,13 @@ def register_envs() -> None:
                 max_episode_steps=steps,
                 kwargs=arguments,
             )
+    if POOL not in gymnasium.registry:
+        gymnasium.register(
+            POOL,
+            entry_point="deepkoco.envs.pool_env:PoolEnv",
+            vector_entry_point="deepkoco.envs.pool_env:PoolVectorEnv",
+            max_episode_steps=POOL_STEPS,
+        )
     if UNIT not in gymnasium.registry:
         # Not in wall-clock time: environments that are stepped one after the other would miss their ticks.
         gymnasium.register(

@@ -41,6 +41,9 @@ from .delay import (
     RecordedDelays as RecordedDelays,
 )
 from .delay import (
+    Scheduled as Scheduled,
+)
+from .delay import (
     Stalls as Stalls,
 )
 from .delay import (
@@ -48,6 +51,9 @@ from .delay import (
 )
 from .delay import (
     make_delay as make_delay,
+)
+from .delay import (
+    transport_delay as transport_delay,
 )
 from .episodes.augmented import (
     AugmentedReplay as AugmentedReplay,

@@ -84,7 +84,7 @@ class Listed(Delay):
         value = self.values[(index + environment) % len(self.values)]
         return value * MS if value >= 0 else NEVER
 
-    def stream(self, rows, period):
+    def stream(self, rows, period, start=0.0):
         return ListedStream(self, rows)
 
 

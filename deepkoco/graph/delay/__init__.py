@@ -14,6 +14,7 @@ from deepkoco.graph.delay.lossy import Lossy
 from deepkoco.graph.delay.mixture import Empirical, Mixture
 from deepkoco.graph.delay.rank import RankCorrelation, make_correlation
 from deepkoco.graph.delay.recorded import RecordedDelays
+from deepkoco.graph.delay.scheduled import Scheduled, transport_delay
 from deepkoco.graph.delay.simple import Deterministic, Gamma, Gaussian, LogNormal, Uniform
 from deepkoco.graph.delay.stalls import Stalls, make_stalls
 
@@ -33,6 +34,7 @@ __all__ = [
     "OverrunProcess",
     "RankCorrelation",
     "RecordedDelays",
+    "Scheduled",
     "Stalls",
     "Stream",
     "Uniform",
@@ -41,4 +43,5 @@ __all__ = [
     "make_correlation",
     "make_delay",
     "make_stalls",
+    "transport_delay",
 ]

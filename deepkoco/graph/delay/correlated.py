@@ -53,7 +53,7 @@ class CopulaDelay(Delay):
     def quantile(self, level: np.ndarray) -> np.ndarray:
         return self.delay.quantile(level)
 
-    def stream(self, rows: int, period: float) -> Stream:
+    def stream(self, rows: int, period: float, start: float = 0.0) -> Stream:
         return CopulaStream(self, rows, period)
 
 
@@ -186,7 +186,7 @@ class OverrunProcess(Delay):
         """Draw from the stationary law."""
         return self.delays(self.deviation * generator.standard_normal(shape))
 
-    def stream(self, rows: int, period: float) -> "Stream":
+    def stream(self, rows: int, period: float, start: float = 0.0) -> "Stream":
         return _OverrunStream(self, rows)
 
     def delays(self, x: np.ndarray) -> np.ndarray:
@@ -212,6 +212,8 @@ def _plain(law: str, delay: Any) -> Delay:
     delay = make_delay(delay)
     if delay.loses:
         raise DelayError(f"{law}: put {law} into lossy, not lossy into {law}")
+    if delay.timed:
+        raise DelayError(f"{law}: its delay depends on the time, not on the one before")
     if delay.marginal is not delay or isinstance(delay, OverrunProcess):
         raise DelayError(f"{law}: its delay is correlated already")
     return delay

@@ -27,6 +27,9 @@ class Delay(ABC):
 
     law: ClassVar[str]
 
+    timed: ClassVar[bool] = False
+    """Whether the delay depends on the time at which it starts."""
+
     @property
     @abstractmethod
     def mean(self) -> float:
@@ -72,12 +75,13 @@ class Delay(ABC):
         """
         return self.quantile(generator.random(shape))
 
-    def stream(self, rows: int, period: float) -> "Stream":
+    def stream(self, rows: int, period: float, start: float = 0.0) -> "Stream":
         """Return what draws the delays of successive steps or messages.
 
         Args:
             rows: number of sequences, independent of each other.
             period: time between two draws of a sequence [s], as far as it is known.
+            start: time of the first draw [s], as far as it is known.
         """
         return Stream(self, rows)
 

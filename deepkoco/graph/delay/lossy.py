@@ -50,8 +50,8 @@ class Lossy(Delay):
     def sample(self, generator: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
         return _lose(generator, self.delay.sample(generator, shape), self.probability)
 
-    def stream(self, rows: int, period: float) -> "_LossyStream":
-        return _LossyStream(self, rows, period)
+    def stream(self, rows: int, period: float, start: float = 0.0) -> "_LossyStream":
+        return _LossyStream(self, rows, period, start)
 
     def to_dict(self) -> dict[str, Any]:
         return {"law": self.law, "delay": self.delay.to_dict(), "probability": self.probability}
@@ -60,10 +60,10 @@ class Lossy(Delay):
 class _LossyStream(Stream):
     """Losses are independent of each other; the delays come from the stream of their own law."""
 
-    def __init__(self, law: Lossy, rows: int, period: float) -> None:
+    def __init__(self, law: Lossy, rows: int, period: float, start: float) -> None:
         super().__init__(law, rows)
         self._probability = law.probability
-        self._delays = law.delay.stream(rows, period)
+        self._delays = law.delay.stream(rows, period, start)
 
     def draw(self, generator: np.random.Generator, columns: int) -> np.ndarray:
         return _lose(generator, self._delays.draw(generator, columns), self._probability)

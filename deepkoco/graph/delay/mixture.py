@@ -33,6 +33,10 @@ class Mixture(Delay):
         if not np.isfinite(weights).all() or (weights < 0).any() or weights.sum() <= 0:
             raise DelayError(f"mixture: weights {self.weights} are negative, not finite or all zero")
         for component in components:
+            if component.timed:
+                raise DelayError(
+                    f"mixture: {component.law} depends on the time, of which a mixture knows nothing"
+                )
             if component.loses or component.marginal is not component:
                 raise DelayError(
                     f"mixture: put the mixture into {component.law}, not {component.law} into it"

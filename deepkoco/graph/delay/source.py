@@ -19,6 +19,7 @@ class DelaySource:
     Args:
         laws: by channel, a law for all rows or one for each.
         periods: by channel, time between two draws [s].
+        starts: by channel, time of the first draw [s].
         correlations: between channels that draw equally often.
         rows: number of schedules.
         generator: not to be used for anything else.
@@ -31,6 +32,7 @@ class DelaySource:
         self,
         laws: Mapping[str, Delay | Sequence[Delay]],
         periods: Mapping[str, float],
+        starts: Mapping[str, float],
         correlations: Sequence[RankCorrelation],
         rows: int,
         generator: np.random.Generator,
@@ -50,7 +52,9 @@ class DelaySource:
             self._groups.append((correlation.channels, streams, *correlation.roots(factors)))
             grouped |= set(channels)
         self._streams = {
-            key: law.stream(rows, periods[key]) if isinstance(law, Delay) else rows_of(law, periods[key])
+            key: law.stream(rows, periods[key], starts[key])
+            if isinstance(law, Delay)
+            else rows_of(law, periods[key], starts[key])
             for key, law in laws.items()
             if key not in grouped
         }
@@ -103,15 +107,15 @@ def stack(laws: Sequence[Delay]) -> Delay | None:
 class RowStream(Stream):
     """A stream for each row, where the rows have laws of different kinds."""
 
-    def __init__(self, laws: Sequence[Delay], period: float) -> None:
+    def __init__(self, laws: Sequence[Delay], period: float, start: float) -> None:
         super().__init__(laws[0], len(laws))
-        self._streams = [law.stream(1, period) for law in laws]
+        self._streams = [law.stream(1, period, start) for law in laws]
 
     def draw(self, generator: np.random.Generator, columns: int) -> np.ndarray:
         return np.concatenate([stream.draw(generator, columns) for stream in self._streams])
 
 
-def rows_of(laws: Sequence[Delay], period: float) -> Stream:
+def rows_of(laws: Sequence[Delay], period: float, start: float) -> Stream:
     """Return a stream with a law of its own for each row."""
     whole = stack(laws)
-    return Stream(whole, len(laws)) if whole is not None else RowStream(laws, period)
+    return Stream(whole, len(laws)) if whole is not None else RowStream(laws, period, start)

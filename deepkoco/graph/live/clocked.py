@@ -200,8 +200,10 @@ class ClockedDriver(Driver):
         self._start = self._end = 0  # [ns]
         self._random = np.random.default_rng(schedule.seed)
         period = float(1 / schedule.rate)
-        self._computation = schedule.computation and schedule.computation.stream(1, period)
-        self._communication = {e: law.stream(1, period) for e, law in schedule.communication.items()}
+        law, first = schedule.computation, schedule.phase
+        self._computation = law and law.stream(1, period, float(first))
+        sent = float(first if law is None else first + exact_seconds(law))
+        self._communication = {e: law.stream(1, period, sent) for e, law in schedule.communication.items()}
         self._starts: list[int] = []
         self._ends: list[int] = []
         self._windows: list[list[tuple[int, ...]]] = [[] for _ in schedule.inputs]

@@ -45,7 +45,12 @@ class DrawnDelays:
         if self._random:
             try:
                 self._source = DelaySource(
-                    self._random, plan.periods, origin.correlations, rows, self._generator(_DELAYS)
+                    self._random,
+                    plan.periods,
+                    plan.starts,
+                    origin.correlations,
+                    rows,
+                    self._generator(_DELAYS),
                 )
             except DelayError as error:
                 raise TimingError(str(error)) from error

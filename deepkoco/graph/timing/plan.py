@@ -43,6 +43,12 @@ class TimingPlan:
         senders = [node.name for node in graph.nodes] + [c.sender for c in graph.connections]
         supervisor = rate[graph.supervisor]
         self.periods = {key: float(1 / rate[s]) for key, s in zip(self.channels, senders, strict=True)}
+        first = {node.name: phase for node, phase in zip(graph.nodes, graph.phases, strict=True)}
+        self.starts = {node.name: float(first[node.name]) for node in graph.nodes} | {
+            c.key: float(first[c.sender] + exact_seconds(graph.node(c.sender).delay))
+            for c in graph.connections
+        }
+        """Nominal time of the first draw of each channel [s]: a computation begins, a message is sent."""
         self.rates = {key: float(rate[s]) for key, s in zip(self.channels, senders, strict=True)}
         self.ratios = [float(rate[s] / supervisor) for s in senders]
         """Draws of each channel per supervisor step."""
