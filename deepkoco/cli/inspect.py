@@ -80,10 +80,15 @@ def run(args: argparse.Namespace) -> int:
     try:
         whole, part = split_part(args.log)
         whole, number = split_run(whole)
-        if part is not None or number is not None:
+        if part is not None:
             raise InputError(f"{args.log}: inspect looks at whole logs; give {whole}")
-        paths = found_recordings([args.log], args.episodes)
-        found = survey_log(open_log(paths[0]))
+        paths = found_recordings([whole], args.episodes)
+        found = survey_log(open_log(paths[0]), number)
+        if number is None and found.runs > 1 and args.episodes:
+            number = args.episodes[0]
+            found = survey_log(found.log, number)
+        if number is not None and number >= found.runs:
+            raise InputError(f"{whole}: has no run {number}; it has {found.runs}, and runs count from 0")
         others = [survey_log(open_log(path)) for path in paths[1:MOST_LOGS]] if args.system else []
     except LogError as error:
         raise InputError(str(error)) from error
@@ -92,7 +97,7 @@ def run(args: argparse.Namespace) -> int:
     propose = not mapped or args.system is not None or args.out is not None
     fitting, refusal = _fitting(found, others, args.system) if propose else (None, None)
     proposal = None if fitting is None else fitting.proposal
-    recording, problem = _read(args, found.runs) if mapped else (None, None)
+    recording, problem = _read(args, found) if mapped else (None, None)
     if args.out is not None and fitting is not None:
         _write_mapping(args.out, found, fitting, args.system)
     if args.plot is not None:
@@ -122,12 +127,12 @@ def _fitting(found: Survey, others: list[Survey], system: str | None) -> tuple[F
         return None, str(error)
 
 
-def _read(args: argparse.Namespace, runs: int) -> tuple[Recording | None, str | None]:
-    """The mapped log, its first one of several runs, and the problem that forbids its use; None for what is not."""
+def _read(args: argparse.Namespace, found: Survey) -> tuple[Recording | None, str | None]:
+    """The mapped log, the surveyed one of several runs, and the problem that forbids its use; None for what is not."""
     from deepkoco.logs.recording import LogError, read_log
     from deepkoco.logs.runs import MARK
 
-    log = args.log if runs == 1 else args.log.with_name(f"{args.log.name}{MARK}0")
+    log = args.log if found.runs == 1 else args.log.with_name(f"{args.log.name}{MARK}{found.run}")
 
     def read(implausible: bool) -> Recording:
         return read_log(
@@ -213,6 +218,8 @@ def _print(
             say(", ".join(f"{key}: {value}" for key, value in recording.meta.items()))
         for warning in recording.warnings:
             say(f"! {warning}")
+        if found.runs > 1:
+            say(f"! the log has {found.runs} runs; run {found.run} is shown")
     if recording is None or args.system is not None or args.out is not None:
         if recording is None:
             say(f"{found.log.path} · {found.log.form}")

@@ -153,6 +153,8 @@ def read_log(
     name = _check_system(sidecar, system, systems)
     targets = _target_units(sidecar, specs, defaults is not None)
     readers = _readers(path, sidecar, fill, run)
+    if run is not None:
+        _check_run(path, sidecar, readers, run)
     path = path if run is None else path.with_name(f"{path.name}{RUN}{run}")
     if allow_implausible:
         sidecar = replace(
@@ -241,6 +243,24 @@ def _readers(
     origin = next(iter(logs.values())).origin_ns
     _check_where(path, sidecar, logs.values())
     return {file: ChannelReader(log, sidecar.where, origin, fill, run) for file, log in logs.items()}
+
+
+def _check_run(path: Path, sidecar: Sidecar, readers: Mapping[str | None, ChannelReader], run: int) -> None:
+    """Refuse a run that the log has not, and clocks of channels that do not begin again equally often.
+
+    Raises:
+        LogError: It is so.
+    """
+    counts = {name: readers[column.file].run_count(column) for name, column in sidecar.channels.items()}
+    if len(set(counts.values())) > 1:
+        told = ", ".join(f'"{name}" has {count}' for name, count in counts.items())
+        raise LogError(
+            f"{path}: the clocks of the channels have different numbers of runs ({told}), so it is not known which "
+            "belong together; write each run into a file of its own"
+        )
+    count = next(iter(counts.values()))
+    if run >= count:
+        raise LogError(f"{path}: has no run {run}; it has {count}, and runs count from 0")
 
 
 def _at(series: Mapping[str, Series], defaults: Mapping[str, float]) -> bool:

@@ -9,13 +9,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deepkoco.logs.formats.log_file import LogError, TooShortError
+from deepkoco.logs.formats.log_file import LogError, TooLittleError
+from deepkoco.logs.part import split_part
 
 if TYPE_CHECKING:
     from deepkoco.logs.recording import Recording
 
 MARK = "#run="
 FAR_BACK = 20.0  # usual steps by which a clock goes back that begins again
+MOST_WRONG = 3  # stamps one after the other that can be wrong
+CLOSE = 3.0  # usual steps for each row, within which a clock goes on
 
 
 class RestartError(LogError):
@@ -51,7 +54,9 @@ def runs_of(time: np.ndarray) -> np.ndarray | None:
     """(n,) number of the run of each sample, from 0; None where the clock does not begin again.
 
     A writer that mixes up rows is late by some rows. A clock that begins again goes back by many of its usual steps,
-    or, after a short run, to where that run began; and it does so wherever it goes back.
+    or, after a short run, to where that run began. A clock that is set goes back to a time well after the begin, and
+    after a wrong stamp the clock goes on as before. If one step back is none of a clock that begins again, no other is
+    taken for one.
 
     Args:
         time: (n,) stamps in the order of the file [s]; NaN where there is none.
@@ -59,16 +64,31 @@ def runs_of(time: np.ndarray) -> np.ndarray | None:
     known = np.flatnonzero(np.isfinite(time))
     stamps = time[known]
     step = np.diff(stamps)
-    back, usual = np.flatnonzero(step < 0) + 1, step[step > 0]
-    if not len(back) or not len(usual):
+    back, forward = np.flatnonzero(step < 0) + 1, step[step > 0]
+    if not len(back) or not len(forward):
         return None
-    far = -step[back - 1] > FAR_BACK * float(np.median(usual))
+    usual = float(np.median(forward))
+    far = -step[back - 1] > FAR_BACK * usual
     begins = stamps[np.append(0, back[:-1])]
-    if not far.any() or not np.all(far | (stamps[back] <= begins)):
+    early = stamps[back] <= begins + 0.5 * (stamps[back - 1] - begins)
+    if not far.any() or not np.all((far & early) | (stamps[back] <= begins)):
+        return None
+    if any(_goes_on(stamps, row, usual) for row in back.tolist()):
         return None
     first = np.zeros(len(time), dtype=int)
     first[known[back]] = 1
     return np.cumsum(first)
+
+
+def _goes_on(stamps: np.ndarray, row: int, usual: float) -> bool:
+    """Whether a clock goes on from before a step back to a row, at most some rows around it being wrong."""
+    for rows in range(1, MOST_WRONG + 1):
+        near = CLOSE * (rows + 1) * usual
+        if row + rows < len(stamps) and 0.0 < stamps[row + rows] - stamps[row - 1] <= near:
+            return True
+        if row - 1 - rows >= 0 and 0.0 < stamps[row] - stamps[row - 1 - rows] <= near:
+            return stamps[row - 1] - stamps[row - 1 - rows] > FAR_BACK * usual
+    return False
 
 
 def read_runs(
@@ -83,7 +103,7 @@ def read_runs(
             case.
 
     Returns:
-        The recordings. The first one warns of runs that are too short.
+        The recordings. The first one warns of runs that are left out: too short, or with a command that never changes.
 
     Raises:
         LogError: The log cannot be read, it has no such run, or none of its runs is long enough.
@@ -91,22 +111,25 @@ def read_runs(
     try:
         return [read(path)]
     except RestartError as error:
+        if split_part(path)[1] is not None:
+            raise
         runs = error.runs
     missing = [number for number in episodes or () if number >= runs]
     if missing:
         raise LogError(f"{path}: has no run {missing[0]}; it has {runs} runs, 0 to {runs - 1}")
     found: list[Recording] = []
-    short: dict[int, TooShortError] = {}
+    short: dict[int, TooLittleError] = {}
     for number in range(runs) if episodes is None else episodes:
         try:
             found.append(read(path.with_name(f"{path.name}{MARK}{number}")))
-        except TooShortError as error:
+        except TooLittleError as error:
             if episodes is not None:
                 raise
             short[number] = error
-    if not found:
+    if not found and short:
         raise next(iter(short.values()))
     if short:
-        note = f"left out because they are too short: {', '.join(f'{path.name}{MARK}{k}' for k in short)}"
+        names = ", ".join(f"{path.name}{MARK}{k}" for k in short)
+        note = f"left out because they are too short, or because their command never changes: {names}"
         found[0] = replace(found[0], warnings=(*found[0].warnings, note))
     return found

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 
 from deepkoco.logs.formats.log_file import LogError, LogFile, iso_seconds
 from deepkoco.logs.own_rows import has_own_rows, values_present
@@ -20,6 +21,7 @@ FAR_COMMAND = 50.0
 JUMP = 0.5  # step to or from a far value, relative to its distance from the others, from which it is a jump
 GAPLESS = 1.5  # values whose distances grow by at most this factor go on from each other
 FEWEST_IN_ROW = 10  # far values that may go on from the others; fewer are glitches
+PARTS = {"joint", "axis", "axle", "motor", "servo", "actuator", "device", "sensor", "channel"}  # of a machine
 LATEST = 1e11  # latest plausible time stamp [s since 1970], about the year 5000
 
 
@@ -162,11 +164,7 @@ class ChannelReader:
 
     def _in_run(self, time: np.ndarray) -> np.ndarray:
         runs = runs_of(time)
-        runs = np.zeros(len(time), dtype=int) if runs is None else runs
-        count = int(runs[-1]) + 1 if len(runs) else 0
-        if self.run is not None and self.run >= count:
-            raise LogError(f"{self.log.path}: has no run {self.run}; it has {count}, and runs count from 0")
-        return runs == self.run
+        return (np.zeros(len(time), dtype=int) if runs is None else runs) == self.run
 
     def _times(self, topic: str, stamp: Column) -> np.ndarray:
         if stamp.unit == ISO:
@@ -233,6 +231,7 @@ class ChannelReader:
         before = f"earlier than the {self.log.row_name.split()[-1]} before"
         runs = runs_of(time[keep])
         if runs is not None:
+            self._refuse_tidy(channel.topic, row[keep][back])
             count, name = int(runs[-1]) + 1, self.log.path.name
             raise RestartError(
                 f'{self.log.file(channel.topic)}: column "{stamp.name}": the clock begins again at '
@@ -244,6 +243,28 @@ class ChannelReader:
         again = "with a duplicate time stamp"
         self._refuse(channel, stamp, row[keep], step == 0, again, "keep one row per stamp")
         return keep
+
+    def _refuse_tidy(self, topic: str, restarts: np.ndarray) -> None:
+        """Refuse a table with the rows of one joint below those of another, which are no runs.
+
+        Raises:
+            LogError: A column that changes where the clock begins again names joints.
+        """
+        name = counting_column(self.log, topic, restarts)
+        if name is not None and set(re.findall("[a-z]+", name.lower())) & PARTS:
+            value = str(self.log.table(topic).frame[name].iloc[0])
+            number = re.fullmatch(r"[-+]?\d+(\.0*)?", value) is not None
+            one = f'write "where: {{{name}: {value}}}" to read one, or ' if number else ""
+            raise LogError(
+                f'{self.log.file(topic)}: the column "{name}" says of which part of the machine each row is, and the '
+                f"clock begins again for each; {one}give each part columns of its own, side by side"
+            )
+
+    def run_count(self, channel: ChannelColumn) -> int:
+        """Number of runs of the clock of a channel."""
+        stamp = self._time_column(channel)
+        runs = runs_of(self._times(channel.topic, stamp)[self._rows(channel)])
+        return 1 if runs is None else int(runs[-1]) + 1
 
     def _refuse(
         self, channel: ChannelColumn, column: Column, row: np.ndarray, bad: np.ndarray, what: str, advice: str
@@ -261,11 +282,9 @@ def counting_column(log: LogFile, topic: str, resets: np.ndarray) -> str | None:
     """Name of a column whose value changes exactly at these rows; None if there is none."""
     frame = log.table(topic).frame
     for name in frame.columns:
-        try:
-            values = log.values(topic, str(name))
-        except LogError:
-            continue
-        if np.array_equal(np.flatnonzero(np.diff(values) != 0) + 1, resets):
+        cells = pd.Series(frame[name])
+        changes = np.flatnonzero((cells != cells.shift()).to_numpy()[1:]) + 1
+        if np.array_equal(changes, resets):
             return str(name)
     return None
 

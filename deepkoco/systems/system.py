@@ -101,7 +101,7 @@ class System(SignalPath, NamedJoints, Drawn, metaclass=Declared):
     def unseen_joints(self, channels: Collection[str]) -> list[str]:
         """Names of the joints of which neither a measurement nor a command is among these channels of a log."""
         measured = zip((c.name for c in self.measurements), self.measured_states, strict=True)
-        driven = zip((c.name for c in self.commands), self.command_joints, strict=False)
+        driven = zip((c.name for c in self.commands), self.actuator_joints, strict=False)
         seen = {
             state % self.joints for name, state in measured if name in channels and state < 2 * self.joints
         }

@@ -2,11 +2,13 @@
 
 import h5py
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.io import savemat
 
 from deepkoco.logs import LogError, read_log, read_logs
 from deepkoco.logs.formats import open_log
+from deepkoco.logs.formats.recordings import recordings
 
 T = 0.02 * np.arange(150)
 ANGLE, SPEED, TORQUE = np.cos(T), -np.sin(T), 0.3 * np.sin(3.0 * T)
@@ -60,11 +62,18 @@ def test_signals_along_rows_are_turned(tmp_path, suffix):
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "step"), [("Ts", 0.02, 0.02), ("fs", 50.0, 0.02), ("dt", 0.05, 0.05)]
+    ("name", "value", "step"),
+    [
+        ("Ts", 0.02, 0.02),
+        ("fs", 50.0, 0.02),
+        ("dt_ms", 5.0, 0.005),
+        ("fs_khz", 1.0, 0.001),
+        ("sample_time", 1.0, 1.0),
+    ],
 )
 def test_a_period_or_a_rate_makes_the_stamps(tmp_path, name, value, step):
     path = write(tmp_path / "log.mat", {"u": TORQUE, "q": ANGLE, name: value})
-    recording = read_log(path, mapping(time="time"))
+    recording = read_log(path, mapping(time="time"), min_seconds=0.0)
     np.testing.assert_allclose(recording.channels["theta"].t, step * np.arange(len(T)))
     assert any(f'the stamps follow from "{name}"' in note for note in recording.warnings)
 
@@ -78,7 +87,7 @@ def test_episodes_of_an_archive_are_runs(tmp_path):
     path = write(tmp_path / "log.npz", {**content, "goal": np.ones((2, 3))})
     first, second = read_logs(path, "torque_pendulum", mapping=mapping("time", "q"))
     np.testing.assert_array_equal(second.channels["theta"].value, -first.channels["theta"].value)
-    assert open_log(path).tables[""].left_out.keys() == {"goal"}
+    assert any("no time has as many samples: goal" in note for note in open_log(path).notes)
 
 
 @pytest.mark.parametrize("suffix", [".mat", ".h5"])
@@ -132,3 +141,60 @@ def test_damaged_files_are_refused(tmp_path, suffix):
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     with pytest.raises(LogError, match="truncated or no"):
         open_log(path)
+
+
+def test_the_period_of_an_excitation_is_none_of_the_samples(tmp_path):
+    path = write(tmp_path / "log.npz", {"q": ANGLE, "u": TORQUE, "frequency": 0.5, "period": 2.0, "fs": 50.0})
+    assert read_log(path, mapping(time="time")).channels["theta"].t[1] == pytest.approx(0.02)
+    clash = write(tmp_path / "two.npz", {"q": ANGLE, "u": TORQUE, "dt": 0.5, "fs": 50.0})
+    with pytest.raises(LogError, match=r'"fs" means a sample every 0\.02 s, "dt" every 0\.5 s'):
+        open_log(clash)
+
+
+def test_each_array_goes_to_the_clock_with_as_many_samples(tmp_path):
+    path = write(
+        tmp_path / "log.npz", {"t": T, "q": ANGLE, "u": TORQUE, "stamps": T[:60], "blob": np.ones(60)}
+    )
+    tables = open_log(path).tables
+    assert {name: set(table.frame.columns) for name, table in tables.items()} == {
+        "t": {"t", "q", "u"},
+        "stamps": {"stamps", "blob"},
+    }
+
+
+def test_a_group_without_a_clock_takes_that_of_its_length(tmp_path):
+    path = write(
+        tmp_path / "log.h5", {"obs": {"timestamp": T, "q": ANGLE}, "action": {"u": TORQUE, "few": T[:70]}}
+    )
+    log = open_log(path)
+    assert set(log.tables[""].frame.columns) == {"timestamp", "q", "action.u"}
+    assert any("action.few" in note for note in log.notes)
+
+
+def test_images_are_left_out_unread(tmp_path):
+    path = tmp_path / "log.h5"
+    with h5py.File(path, "w") as file:
+        file["t"], file["q"] = T, ANGLE
+        file.create_dataset("camera", shape=(20000, 480, 640, 3), dtype="u1", chunks=(1, 480, 640, 3))
+    assert set(open_log(path).tables[""].frame.columns) == {"t", "q"}
+
+
+def test_a_time_in_seconds_and_nanoseconds(tmp_path):
+    stamp = np.stack([1_700_000_000 + np.floor(T), np.round(T % 1 * 1e9)], 1).astype(np.int64)
+    path = write(tmp_path / "log.npz", {"stamp": stamp, "q": ANGLE, "u": TORQUE})
+    np.testing.assert_allclose(read_log(path, mapping(time="stamp")).channels["theta"].t, T, atol=1e-6)
+
+
+def test_a_wrench_has_no_joints(tmp_path):
+    names = np.array([f"j{k}" for k in range(6)])
+    content = {"t": T, "q": np.ones((150, 6)), "wrench": np.ones((150, 6)), "joint_names": names}
+    columns = set(open_log(write(tmp_path / "log.npz", content)).tables[""].frame.columns)
+    assert {"q[j0]", "wrench[0]"} < columns
+
+
+def test_arrays_that_are_no_log_of_their_own_are_passed_over_in_a_folder(tmp_path):
+    pd.DataFrame({"t": T, "u": TORQUE, "q": ANGLE}).to_csv(tmp_path / "log.csv", index=False)
+    write(tmp_path / "log.npz", {"t": T, "u": TORQUE, "q": ANGLE})
+    write(tmp_path / "calibration.npz", {"matrix": np.eye(6)})
+    write(tmp_path / "other.mat", {"t": T, "u": TORQUE, "q": ANGLE})
+    assert [path.name for path in recordings([tmp_path])] == ["log.csv", "other.mat"]

@@ -38,6 +38,26 @@ def test_match_joints_prefers_equal_names_to_the_order(order):
     assert all(order[m.log] == model[m.model] for m in match_joints(order, model))
 
 
+@pytest.mark.parametrize(
+    ("log", "model", "pairs"),
+    [
+        (("4", "5", "6"), 6, [(0, 3), (1, 4), (2, 5)]),
+        (("0", "2"), 4, [(0, 0), (1, 2)]),
+        (("2", "1", "3"), 4, [(0, 1), (1, 0), (2, 2)]),
+        (("11", "12"), 6, []),
+    ],
+)
+def test_the_number_of_a_joint_is_its_place(log, model, pairs):
+    found = match_joints(log, [f"link_{chr(97 + k)}" for k in range(model)])
+    assert [(m.log, m.model) for m in found] == pairs
+    assert all(m.probability < 0.9 for m in found)
+
+
+def test_what_slides_is_no_joint_that_turns():
+    found = match_joints(["1", "2"], ["slider", "hinge"], apart=[(0, 0), (1, 1)])
+    assert [(m.log, m.model) for m in found] in ([], [(0, 1), (1, 0)])
+
+
 def test_match_joints_leaves_strangers_out():
     assert [
         (m.log, m.model) for m in match_joints(["elbow", "camera_zoom"], ["wrist", "elbow", "shoulder"])

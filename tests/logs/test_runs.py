@@ -60,7 +60,7 @@ def test_each_run_is_a_log_and_short_ones_are_left_out(path):
     assert [log.path.name for log in logs] == [f"log.csv{MARK}{k}" for k in (0, 1, 3)]
     assert [len(log.channels["theta"]) for log in logs] == [120, 80, 100]
     assert logs[2].channels["theta"].value[0] == pytest.approx(1.3)
-    assert any(f"left out because they are too short: log.csv{MARK}2" in note for note in logs[0].warnings)
+    assert any(note.endswith(f"never changes: log.csv{MARK}2") for note in logs[0].warnings)
 
 
 def test_a_run_and_a_part_of_it_are_read_by_their_names(path):
@@ -102,3 +102,55 @@ def test_a_file_with_the_mark_in_its_name_is_a_whole_log(path):
     other = path.with_name(f"a{MARK}1")
     other.write_text(path.read_text())
     assert split_run(other) == (other, None)
+
+
+@pytest.mark.parametrize("at", [0.0, 500.0])
+@pytest.mark.parametrize("rows", [1, 3])
+def test_wrong_stamps_are_no_restart(at, rows):
+    time = 0.01 * np.arange(400)
+    time[200 : 200 + rows] = at + 0.001 * np.arange(rows)
+    assert runs_of(time) is None
+
+
+def test_a_clock_that_is_set_is_no_restart():
+    time = 10.0 + 0.01 * np.arange(1000)
+    time[800:] -= 0.5
+    assert runs_of(time) is None
+
+
+def test_rows_of_joints_below_each_other_are_no_runs(path):
+    frame = pd.read_csv(path).iloc[:200]
+    frame["joint"] = np.repeat([0, 1], [120, 80])
+    frame.to_csv(path, index=False)
+    with pytest.raises(LogError, match=r'"joint" says of which part .* write "where: \{joint: 0\}"'):
+        read_logs(path, "torque_pendulum", mapping=MAPPING)
+
+
+def test_a_run_without_a_changing_command_is_left_out(path):
+    frame = pd.read_csv(path)
+    frame.loc[120:199, "u"] = 0.5
+    frame.to_csv(path, index=False)
+    logs = read_logs(path, "torque_pendulum", mapping=MAPPING)
+    assert [log.path.name for log in logs] == [f"log.csv{MARK}0", f"log.csv{MARK}3"]
+
+
+def test_rows_that_an_array_was_never_filled_with_are_left_out(tmp_path):
+    t = np.zeros(300)
+    t[:200] = 0.02 * np.arange(200)
+    np.savez(tmp_path / "log.npz", t=t, u=np.sin(t), q=np.sin(2 * t))
+    (log,) = read_logs(tmp_path / "log.npz", "torque_pendulum", mapping=MAPPING)
+    assert len(log.channels["theta"]) == 200
+
+
+def test_clocks_with_different_numbers_of_runs_are_refused(tmp_path):
+    table(120, 80, 100)[["t", "u"]].to_csv(tmp_path / "drive.csv", index=False)
+    table(120, 100)[["t", "q"]].to_csv(tmp_path / "log.csv", index=False)
+    channels = {name: dict(channel) for name, channel in MAPPING["channels"].items()}
+    channels["torque"]["file"] = "drive.csv"
+    with pytest.raises(LogError, match=r'different numbers of runs \("torque" has 3, "theta" has 2\)'):
+        read_logs(tmp_path / "log.csv", "torque_pendulum", mapping={**MAPPING, "channels": channels})
+
+
+def test_a_part_of_a_log_of_several_runs_is_refused(path):
+    with pytest.raises(LogError, match="the log has 4 runs"):
+        read_logs(f"{path}#t=0,1", "torque_pendulum", mapping=MAPPING)

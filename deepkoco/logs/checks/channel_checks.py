@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from deepkoco.logs.checks.derivative import Relation, relate, slip
-from deepkoco.logs.formats.log_file import LogError, TooShortError
+from deepkoco.logs.formats.log_file import LogError, TooLittleError
 from deepkoco.logs.series import Series
 from deepkoco.logs.sidecar import ChannelColumn
 from deepkoco.logs.units import parse_unit
@@ -33,19 +33,19 @@ def check_content(
     """Check that a log contains enough samples, time and changes of the command.
 
     Raises:
-        TooShortError: a channel has too few samples, or all together cover too short a time.
-        LogError: all commands are constant, or channels do not overlap.
+        TooLittleError: a channel has too few samples, all together cover too short a time, or no command changes.
+        LogError: channels do not overlap.
     """
     driven = any(s.kind == "command" and len(s) and np.ptp(s.value) > 0 for s in channels.values())
     for name, series in channels.items():
         wanted = min_samples if series.kind == "measurement" else 1
         if len(series) < wanted:
-            raise TooShortError(
+            raise TooLittleError(
                 f'{path}: channel "{name}" is too short: {len(series)} samples, at least {wanted} needed; '
                 "record for longer"
             )
         if series.kind == "command" and not constant_command and not driven and np.ptp(series.value) == 0:
-            raise LogError(
+            raise TooLittleError(
                 f'{path}: command "{name}" is constant ({series.value[0]:g} {series.unit}); a fit '
                 "needs a command that changes; record with an excitation (chirp, steps, prbs)"
             )
@@ -55,7 +55,7 @@ def check_content(
     start, stop = max(float(s.t[0]) for s in measured), min(float(s.t[-1]) for s in measured)
     seconds = stop - start
     if seconds < min_seconds:
-        raise TooShortError(
+        raise TooLittleError(
             f"{path}: too short: all measurements together cover {max(seconds, 0.0):.3g} s, at least "
             f"{min_seconds:g} s needed; if the log is longer, check the unit of the time column"
         )

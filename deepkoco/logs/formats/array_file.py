@@ -10,13 +10,29 @@ from typing import Any
 import numpy as np
 
 from deepkoco.extras import install_command
-from deepkoco.logs.formats.array_tables import tables_of
-from deepkoco.logs.formats.fields import MOST_CELLS, NAME_LISTS
+from deepkoco.logs.formats.array_tables import TIMES, is_time, tables_of
+from deepkoco.logs.formats.fields import MOST_CELLS, MOST_ELEMENTS, NAME_LISTS
 from deepkoco.logs.formats.log_file import LogError, LogFile
 
 LARGEST = 1 << 31  # most bytes that a file may unpack to
 HDF5 = b"\x89HDF\r\n\x1a\n"  # how an HDF5 file begins, at 0 or behind a block of 512 bytes
 LONGEST_FACT = 200  # letters of a text that is told as a fact
+
+
+def looks_like_arrays(path: Path) -> bool:
+    """Whether a file of arrays names a time, a period or a rate; one that cannot be opened does not."""
+    suffix = path.suffix.lower()
+    try:
+        if suffix == ".npz":
+            with zipfile.ZipFile(path) as archive:
+                names = [part.filename.removesuffix(".npy") for part in archive.infolist()]
+        elif suffix == ".mat" and not _is_hdf5(path):
+            names = [name for name, _ in _flat(_load_mat(path))]
+        else:
+            names = list(_entries(path))
+    except Exception:  # the libraries raise errors of many kinds on damaged files
+        return False
+    return any(is_time(name.replace("/", ".")) for name in names)
 
 
 def read_npz(path: Path) -> LogFile:
@@ -29,7 +45,7 @@ def read_npz(path: Path) -> LogFile:
         with zipfile.ZipFile(path) as archive:
             _bound(path, sum(part.file_size for part in archive.infolist()))
         with np.load(path, allow_pickle=False) as archive:
-            content = {name: _entry(archive, name) for name in archive.files}
+            content = {name.replace("/", "."): _entry(archive, name) for name in archive.files}
     except LogError:
         raise
     except OSError as error:
@@ -49,17 +65,13 @@ def read_mat(path: Path) -> LogFile:
     """
     if _is_hdf5(path):
         return read_hdf5(path, "MATLAB file 7.3")
-    from scipy.io import loadmat, whosmat
-
     try:
-        cells = sum(int(np.prod(shape, dtype=object)) for _, shape, _ in whosmat(path))
-        _bound(path, 8 * cells)
-        content = loadmat(path, simplify_cells=True)
+        content = _load_mat(path)
     except (LogError, PermissionError, FileNotFoundError):
         raise
     except Exception as error:  # the library raises errors of many kinds on damaged files
         raise _damaged(path, "file of MATLAB", error) from error
-    return _log(path, "MATLAB file", {k: v for k, v in content.items() if not k.startswith("__")})
+    return _log(path, "MATLAB file", content)
 
 
 def read_hdf5(path: Path, form: str = "HDF5") -> LogFile:
@@ -69,27 +81,52 @@ def read_hdf5(path: Path, form: str = "HDF5") -> LogFile:
         LogError: h5py is missing, or the file is damaged, too large, or has no time.
     """
     try:
-        import h5py
+        content = _entries(path)
     except ImportError as error:
         raise LogError(f"{path}: {form} needs h5py: {install_command('hdf5')}") from error
-    content: dict[str, Any] = {}
-
-    def visit(name: str, item: Any) -> None:
-        if isinstance(item, h5py.Dataset) and not name.startswith("#"):
-            content[name.replace("/", ".")] = item
-
-    try:
-        with h5py.File(path, "r") as file:
-            file.visititems(visit)
-            _bound(path, sum(int(item.nbytes) for item in content.values()))
-            content = {**{k: v for k, v in file.attrs.items()}, **{k: v[()] for k, v in content.items()}}
-    except LogError:
-        raise
-    except (PermissionError, FileNotFoundError):
+    except (LogError, PermissionError, FileNotFoundError):
         raise
     except Exception as error:  # the library raises errors of many kinds on damaged files
         raise _damaged(path, "HDF5 file", error) from error
     return _log(path, form, content)
+
+
+def _load_mat(path: Path) -> dict[str, Any]:
+    from scipy.io import loadmat, whosmat
+
+    cells = sum(int(np.prod(shape, dtype=object)) for _, shape, _ in whosmat(path))
+    _bound(path, 8 * cells)
+    return {k: v for k, v in loadmat(path, simplify_cells=True).items() if not k.startswith("__")}
+
+
+def _entries(path: Path) -> dict[str, Any]:
+    """Arrays and attributes of an HDF5 file; images and other arrays with too many numbers a sample are left out."""
+    import h5py
+
+    arrays: dict[str, Any] = {}
+    told: dict[str, Any] = {}
+
+    def visit(name: str, item: Any) -> None:
+        name = name.replace("/", ".")
+        if name.startswith("#"):  # what MATLAB keeps for itself
+            return
+        if isinstance(item, h5py.Group):
+            told.update({f"{name}.{key}": value for key, value in item.attrs.items() if "MATLAB" not in key})
+        elif item.ndim < 3 or (item.ndim == 3 and item.shape[-1] <= MOST_ELEMENTS):
+            arrays[name] = item
+
+    with h5py.File(path, "r") as file:
+        file.visititems(visit)
+        _bound(path, sum(int(item.nbytes) for item in arrays.values()))
+        return {**dict(file.attrs.items()), **told, **{name: _text(item) for name, item in arrays.items()}}
+
+
+def _text(item: Any) -> Any:
+    """Content of an entry of an HDF5 file; MATLAB stores a text as the codes of its letters."""
+    value = item[()]
+    if item.attrs.get("MATLAB_class") == b"char":
+        return "".join(map(chr, np.asarray(value).T.reshape(-1)))
+    return value
 
 
 def _entry(archive: Any, name: str) -> Any:
@@ -115,6 +152,8 @@ def _log(path: Path, form: str, content: Mapping[str, Any]) -> LogFile:
                 labels[len(words)] = words
             elif array.size == 1 and len(words[0]) <= LONGEST_FACT:
                 texts[name] = words[0]
+            elif array.ndim == 1 and name.rpartition(".")[2].lower() in TIMES:
+                arrays[name] = array  # dates
         elif array.size == 1 and array.dtype.kind != "M":
             scalars[name] = float(array.reshape(-1)[0])
         else:

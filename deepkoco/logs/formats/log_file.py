@@ -24,8 +24,8 @@ class LogError(ValueError):
     """A log or its sidecar cannot be used; the message names file, column and what to do."""
 
 
-class TooShortError(LogError):
-    """A log has too few samples, or lasts too short a time."""
+class TooLittleError(LogError):
+    """A log has too few samples, lasts too short a time, or its command never changes."""
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ import re
 from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 
+from deepkoco.logs.formats.array_file import looks_like_arrays
 from deepkoco.logs.formats.csv_folder import is_pair
 from deepkoco.logs.formats.csv_head import looks_like_table
 from deepkoco.logs.formats.json_entries import looks_like_entries
@@ -29,6 +30,7 @@ SUFFIXES = (
     ".h5",
     ".hdf5",
 )
+ARRAYS = (".npz", ".mat", ".h5", ".hdf5")
 DEEPEST = 6  # folders in folders that are searched
 
 
@@ -117,7 +119,15 @@ def _is_log(file: Path) -> bool:
     suffix = file.suffix.lower()
     if suffix == ".txt":
         return looks_like_table(file)
+    if suffix in ARRAYS:
+        return not _is_copy(file) and looks_like_arrays(file)
     return suffix in SUFFIXES and (suffix != ".json" or looks_like_entries(file))
+
+
+def _is_copy(file: Path) -> bool:
+    """Whether a file of arrays has the name of another log beside it, of which it is an export."""
+    tables = [suffix for suffix in SUFFIXES if suffix not in ARRAYS]
+    return any(file.with_suffix(suffix).is_file() for suffix in tables)
 
 
 def _chosen(path: Path, found: Sequence[Path], episodes: Collection[int] | None) -> list[Path]:

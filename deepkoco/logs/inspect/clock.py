@@ -8,7 +8,7 @@ import numpy as np
 
 from deepkoco.logs.formats import LogFile
 from deepkoco.logs.formats.log_file import LogError, iso_seconds
-from deepkoco.logs.inspect.names import read_name
+from deepkoco.logs.inspect.names import WORDS, read_name
 from deepkoco.logs.own_rows import values_present
 from deepkoco.logs.runs import runs_of
 from deepkoco.logs.series import counting_column
@@ -115,7 +115,10 @@ def _score(log: LogFile, topic: str, name: str) -> float | None:
 
 
 def _only_grows(log: LogFile, topic: str, name: str) -> bool:
-    """Whether a column grows evenly from row to row, and not by ones as a count of rows does."""
+    """Whether a column of no other meaning grows evenly from row to row, and not by ones as a count of rows does."""
+    hints = read_name(name)
+    if hints.counting or hints.unit is not None or any(hints.speaks_for(q) > 0 for q in WORDS if q != "time"):
+        return False
     try:
         values = log.values(topic, name)
     except LogError:

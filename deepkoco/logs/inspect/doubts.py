@@ -54,7 +54,7 @@ def _clock(survey: Survey, clock: Clock) -> list[str]:
         counted = f', which the column "{clock.counter}" counts' if clock.counter else ""
         remedy = (
             f"the clock begins again, so the log has {clock.runs} runs{counted}; diagnose and identify take all of "
-            f"them, {survey.log.path.name}{MARK}0 is the first, which is shown here"
+            f"them, {survey.log.path.name}{MARK}{survey.run} is the one that is compared here"
             if clock.runs > 1
             else "sort or split the log"
         )

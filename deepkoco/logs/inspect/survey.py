@@ -12,6 +12,7 @@ from deepkoco.logs.inspect.clock import Clock, find_clocks, stamps
 from deepkoco.logs.inspect.names import NameHints, read_name
 from deepkoco.logs.own_rows import has_own_rows, values_present
 from deepkoco.logs.quantum import quantum_of
+from deepkoco.logs.runs import runs_of
 from deepkoco.logs.series import far_values
 
 
@@ -68,20 +69,22 @@ class Survey:
         log: the file.
         clocks: topic -> its clocks, the most probable first.
         columns: all columns, in the order of the file.
+        run: the run of a log whose clock begins again of which samples are taken.
     """
 
     log: LogFile
     clocks: dict[str, list[Clock]]
     columns: tuple[ColumnSurvey, ...]
+    run: int = 0
     _read: dict[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict, compare=False, repr=False)
 
     @property
     def runs(self) -> int:
-        """Number of runs of a log whose clock begins again; samples are those of the first one."""
+        """Number of runs of a log whose clock begins again."""
         return max((found[0].runs for found in self.clocks.values() if found), default=1)
 
     def samples(self, column: ColumnSurvey) -> tuple[np.ndarray, np.ndarray]:
-        """Finite stamps [s] and values of a column up to the first reset of its clock, without glitches."""
+        """Finite stamps [s] and values of a column in the run, up to a step back of its clock, without glitches."""
         if column.label not in self._read:
             self._read[column.label] = self._samples(column)
         return self._read[column.label]
@@ -91,7 +94,11 @@ class Survey:
         if clock is None:
             return np.zeros(0), np.zeros(0)
         t, value = stamps(self.log, clock), self.log.values(column.topic, column.name)
-        stop = clock.resets[0] if clock.resets else len(t)
+        runs = runs_of(t)
+        if runs is None:
+            stop = clock.resets[0] if clock.resets else len(t)
+        else:
+            t, value, stop = t[runs == self.run], value[runs == self.run], len(t)
         good = np.flatnonzero(np.isfinite(t[:stop]) & np.isfinite(value[:stop]))
         t, value = t[good], value[good]
         keep = np.append(True, np.diff(t) > 0)[: len(t)]
@@ -104,14 +111,22 @@ class Survey:
         return next((c for c in self.clocks.get(column.topic, []) if c.column == column.clock), None)
 
 
-def survey_log(log: LogFile) -> Survey:
-    """Survey every column of a log file."""
+def survey_log(log: LogFile, run: int | None = None) -> Survey:
+    """Survey every column of a log file.
+
+    Args:
+        log: The file.
+        run: The run of a log whose clock begins again of which samples are taken; None takes the longest one.
+    """
     clocks = {topic: find_clocks(log, topic) for topic in log.tables}
     columns = []
     for topic, table in log.tables.items():
         for name in table.frame.columns:
             columns.append(_column(log, topic, str(name), clocks[topic]))
-    return Survey(log, clocks, tuple(columns))
+    main = next((found[0] for found in clocks.values() if found and found[0].runs > 1), None)
+    if run is None and main is not None:
+        run = int(np.argmax(np.bincount(runs)) if (runs := runs_of(stamps(log, main))) is not None else 0)
+    return Survey(log, clocks, tuple(columns), run or 0)
 
 
 def _column(log: LogFile, topic: str, name: str, clocks: list[Clock]) -> ColumnSurvey:

@@ -33,6 +33,7 @@ FILLER = {
     "act",
 }
 GOALS = {"position": "goal", "speed": "goal speed", "effort": "goal effort"}
+DRIVEN = {"goal", "goal speed", "effort", "goal effort"}
 _ROLE_WORDS = GOAL | MEASURED | POSITION | SPEED | EFFORT | FILLER
 
 
@@ -51,19 +52,23 @@ class LogJoint:
 
 
 def log_joints(
-    columns: Sequence[ColumnSurvey], joints: Sequence[str] = (), units: Sequence[str] = ("rad", "m")
+    columns: Sequence[ColumnSurvey],
+    joints: Sequence[str] = (),
+    units: Sequence[str] = ("rad", "m"),
+    passive: int = 0,
 ) -> list[LogJoint]:
     """Group columns by joint, in the order of the log; joints without a position are left out.
 
     A column whose words say no role has the one that its unit says: ``A1[deg]`` is a position, ``M1[Nm]`` an effort.
     A column that is called as a joint of the model, ``tilt``, is a position where it has no unit. A unit alone speaks
     less than words: where words name positions for all joints of the model, ``level[deg]`` is no joint. Nor is
-    ``box_x[m]`` where words name several joints, each with a goal or an effort, and nothing else is called ``box_x``.
+    ``box_x[m]`` where each joint that words name has a goal or an effort, and the model has no joint without one.
 
     Args:
         columns: Those of the log.
         joints: Names of the model's joints.
         units: Of the positions of the model's joints; a length is no position of a robot that has no slide.
+        passive: Number of the model's joints that no command drives.
     """
     found: dict[str, LogJoint] = {}
     said: set[str] = set()
@@ -86,8 +91,11 @@ def log_joints(
     named = [joint for joint in result if joint.label in said]
     if joints and len(named) >= len(joints):
         return named
-    if len(named) > 1 and all(len(joint.columns) > 1 for joint in named):
-        return [joint for joint in result if joint.label in said or len(joint.columns) > 1]
+    if len(named) > 1 and all(DRIVEN & set(joint.columns) for joint in named):
+        moved = [joint for joint in result if joint.label in said or DRIVEN & set(joint.columns)]
+        loose = len(loose_goals(columns, result)) + len(loose_efforts(columns, result))
+        if len(result) - len(moved) > passive + loose:
+            return moved
     return result
 
 

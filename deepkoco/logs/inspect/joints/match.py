@@ -12,7 +12,8 @@ from scipy.optimize import linear_sum_assignment
 
 SAME = 8.0  # evidence of the same name [nats]
 WORD = 5.0  # evidence of the same words, in proportion to their share [nats]
-ORDER = 1.5  # evidence of the same place in the order, of as many joints or of numbered ones [nats]
+ORDER = 1.5  # evidence of the same place in the order, if there are as many joints [nats]
+FEWER = 0.75  # times that of the number of a joint, if there are fewer
 NOTHING = 0.5  # evidence of a joint without a partner [nats]
 _ALIKE = (
     {"pan", "rotation", "yaw", "base", "waist", "swivel", "turn", "abduction", "haa"},
@@ -47,19 +48,29 @@ class Match(NamedTuple):
     reason: str
 
 
-def match_joints(log: Sequence[str], model: Sequence[str]) -> list[Match]:
+def match_joints(
+    log: Sequence[str], model: Sequence[str], apart: Sequence[tuple[int, int]] = ()
+) -> list[Match]:
     """Assign joints of a log to joints of a model, each at most once.
 
     Args:
         log: names of the joints in the log, in its order.
         model: names of the model's joints, in its order.
+        apart: pairs (log, model) that cannot be one, because one slides and the other turns.
     """
-    places = _places(log)
-    # Numbers count from the base outwards, and a log that lacks joints lacks those at the tip: fingers.
-    ordered = len(log) == len(model) or (len(log) < len(model) and all(name.isdecimal() for name in log))
+    places, order = _places(log), ORDER
+    ordered = len(log) == len(model)
+    if not ordered and (numbers := _from_the_base(log, len(model))) is not None:
+        # A log that lacks joints mostly lacks those at the tip: fingers.
+        places, ordered, order = numbers, True, FEWER * ORDER
     score = np.array(
-        [[_score(places[i], a, j, b, ordered) for j, b in enumerate(model)] for i, a in enumerate(log)]
+        [
+            [_score(places[i], a, j, b, order if ordered else 0.0) for j, b in enumerate(model)]
+            for i, a in enumerate(log)
+        ]
     )
+    for pair in apart:
+        score[pair] = -100.0
     if score.size == 0:
         return []
     found = []
@@ -99,12 +110,21 @@ def _places(log: Sequence[str]) -> list[int]:
     return places
 
 
-def _score(i: int, log: str, j: int, model: str, ordered: bool) -> float:
-    order = ORDER * (1.0 if i == j else -0.5) if ordered else 0.0
+def _from_the_base(log: Sequence[str], joints: int) -> list[int] | None:
+    """Places that the numbers of joints say, counted from 0 where one is 0, else from 1; None where they say none."""
+    if not log or not all(name.isdecimal() for name in log):
+        return None
+    numbers = [int(name) for name in log]
+    places = [number - (0 not in numbers) for number in numbers]
+    return places if max(places) < joints and len(set(places)) == len(places) else None
+
+
+def _score(i: int, log: str, j: int, model: str, evidence: float) -> float:
+    order = evidence * (1.0 if i == j else -0.5)
     if _plain(log) == _plain(model):
         return SAME + order
     if log.isdecimal():
-        return order + (ORDER if ordered and i == j else 0.0)
+        return order + (evidence if i == j else 0.0)
     return WORD * _shared(_parts(log), _parts(model)) + 2.0 * _spelling(log, model) + order
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from deepkoco.logs.by_name import wanted_names
 from deepkoco.logs.inspect.choice import Choice, Proposal, with_one_scale
-from deepkoco.logs.inspect.evidence import SPEEDS
+from deepkoco.logs.inspect.evidence import POSITIONS, SPEEDS
 from deepkoco.logs.inspect.joints.finding import JointFinding, from_ranges
 from deepkoco.logs.inspect.joints.goals import Tracking, track
 from deepkoco.logs.inspect.joints.gravity import JointEvidence
@@ -52,8 +52,9 @@ def propose_joints(surveys: Sequence[Survey], system: System) -> Proposal:
         system: a system whose measurements are named after its joints.
     """
     survey = surveys[0]
-    found = log_joints(survey.columns, system.joint_names, system.state_units[: system.joints])
-    matches = match_joints([joint.label for joint in found], system.joint_names)
+    passive = system.joints - len(set(system.actuator_joints) & set(range(system.joints)))
+    found = log_joints(survey.columns, system.joint_names, system.state_units[: system.joints], passive)
+    matches = match_joints([joint.label for joint in found], system.joint_names, _apart(found, system))
     _add_loose_goals(survey, found)
     joints = _scaled(surveys, system, found, matches)
     evidence = gravity_evidence(surveys, system, joints)
@@ -74,6 +75,19 @@ def propose_joints(surveys: Sequence[Survey], system: System) -> Proposal:
     return Proposal(
         system.name, tuple(choices), time, score, {}, tuple(findings[k] for k in sorted(findings))
     )
+
+
+def _apart(found: Sequence[LogJoint], system: System) -> list[tuple[int, int]]:
+    """Pairs of a joint of the log, whose unit is stated, and one of the model, of which one slides and one turns."""
+    stated = {i: joint.columns["position"].hints.unit for i, joint in enumerate(found)}
+    quantities = [parse_unit(unit).quantity for unit in system.state_units[: system.joints]]
+    return [
+        (i, j)
+        for i, unit in stated.items()
+        if unit is not None and parse_unit(unit).quantity in POSITIONS
+        for j, quantity in enumerate(quantities)
+        if parse_unit(unit).quantity != quantity
+    ]
 
 
 def _add_loose_goals(survey: Survey, joints: list[LogJoint]) -> None:
