@@ -39,6 +39,7 @@ class PoolOptions:
         constant_age: What the filter "constant" takes the age of the water to be [s].
         controlled: A PID controller moves the heater, and the agent gives its goal.
         gain, integral_time, derivative_time: Of the controller: level per K, [s], [s].
+        heat_noise: Of the filter: spectral density of the unknown heat [W2/s].
         noise: The thermometer has noise of 0.05 K and the flow meter of 1 %.
         history: Past actions in the agent's observation.
         sensing_delay: From the thermometer to controllers, at most a second.
@@ -51,6 +52,7 @@ class PoolOptions:
     gain: float = 0.5
     integral_time: float = 1200.0
     derivative_time: float = 0.0
+    heat_noise: float = 2e4
     noise: bool = True
     history: int = 0
     sensing_delay: Any = None
@@ -175,8 +177,8 @@ def _kalman(options: PoolOptions) -> KalmanNode:
         dynamics=[[-loss, 1.0 / capacity, 1.0 / capacity], [0.0, 0.0, 0.0], [0.0, 0.0, -lag]],
         command=[[0.0, loss], [0.0, 0.0], [lag * heater["scale"], 0.0]],
         sensor=[[1.0, 0.0, 0.0]],
-        # The unknown heat wanders by some 8 kW in 5 minutes; the temperature hardly by itself.
-        noise_density=[1e-8, 2e5, 1e2],
+        # The unknown heat wanders by some 2 kW in 5 minutes; the temperature hardly by itself.
+        noise_density=[1e-8, options.heat_noise, 1e2],
         noise_sd=[0.05],
         longest_step=1.1 * STEP,
     )
