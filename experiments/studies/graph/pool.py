@@ -20,7 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepkoco.engines.pool import PoolOptions, pool_graph, pool_start
+from deepkoco.envs.pool import PoolOptions, pool_graph, pool_start
 from deepkoco.graph import BatchedRuntime, Graph, draw_timing
 from deepkoco.systems.fluids import pool_parameters
 from experiments.studies.graph.live_study import run_study

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from deepkoco.agent.mean_interval import mean_with_band
-from deepkoco.engines.pool import pool_start
+from deepkoco.envs.pool import pool_start
 from deepkoco.graph import BatchedRuntime, Graph, draw_timing
 from deepkoco.systems.fluids import pool_parameters
 from deepkoco.systems.fluids.pool_picture import draw_pool

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepkoco.engines.pool import PoolOptions, pool_graph, pool_start
+from deepkoco.envs.pool import PoolOptions, pool_graph, pool_start
 from deepkoco.fit.graph_fit import fit_graph, seen_by_supervisor
 from deepkoco.graph import Episode, Graph, Input, draw_timing, replay_episode
 from deepkoco.graph.live import ConcurrentRuntime, SimulatedRuntime, WallClockRuntime

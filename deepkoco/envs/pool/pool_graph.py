@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
 
 from deepkoco.engines.pid import Pid
-from deepkoco.engines.pool.devices import Actuator, Probe
-from deepkoco.engines.pool.flow_delay import FlowDelay
-from deepkoco.engines.pool.seat import LOWEST_PUMP, PoolSeat
-from deepkoco.engines.pool.world import PoolWorld
-from deepkoco.fit.state.kalman import LinearModel
-from deepkoco.fit.state.kalman_node import AgedKalmanNode, KalmanNode
+from deepkoco.engines.pool import Actuator, FlowDelay, PoolWorld, Probe
+from deepkoco.envs.pool.seat import LOWEST_PUMP, PoolSeat
 from deepkoco.graph import Connection, Graph, Node
 from deepkoco.graph.delay import Delay, make_delay
 from deepkoco.graph.model.node import State
 from deepkoco.systems.fluids import pool_parameters
 from deepkoco.systems.fluids.pool import HEAT_CAPACITY
+
+if TYPE_CHECKING:
+    from deepkoco.fit.state.kalman_node import KalmanNode
 
 FILTERS = ("none", "now", "constant", "flow")
 """What a filter takes a measurement to be: no filter; of now; of a constant time ago; of a time that the flow tells."""
@@ -169,6 +168,10 @@ def _kalman(options: PoolOptions) -> KalmanNode:
 
     What the pipe takes from the pool and gives back is a heat that it does not know: 2 % of the water.
     """
+    # The fits are a second of imports.
+    from deepkoco.fit.state.kalman import LinearModel
+    from deepkoco.fit.state.kalman_node import AgedKalmanNode, KalmanNode
+
     by_node = {node: {k: float(v) for k, v in own.items()} for node, own in pool_parameters().items()}
     world, heater = by_node["world"], by_node["heater"]
     capacity = HEAT_CAPACITY * world["pool_volume"]
