@@ -49,8 +49,9 @@ def draw_errors(table: pd.DataFrame, measures: Sequence[str]) -> Picture:
                 axes.errorbar(
                     mean, place, xerr=[[mean - low], [high - mean]], fmt="o", ms=4, color=PALETTE[place]
                 )
-            axes.set(xlabel=TITLES[key], yticks=range(len(labels)), yticklabels=labels, xlim=(0.0, None))
-            axes.invert_yaxis()
+            axes.set(yticks=range(len(labels)), yticklabels=labels, xlim=(0.0, None))
+            axes.set_xlabel(TITLES[key], fontsize=8)
+        axes.invert_yaxis()  # the axes are shared: once for all
     return Picture("errors", figure, table)
 
 
