@@ -51,8 +51,8 @@ def register_envs() -> None:
     if POOL not in gymnasium.registry:
         gymnasium.register(
             POOL,
-            entry_point="deepkoco.envs.pool_env:PoolEnv",
-            vector_entry_point="deepkoco.envs.pool_env:PoolVectorEnv",
+            entry_point="deepkoco.envs.pool.pool_env:PoolEnv",
+            vector_entry_point="deepkoco.envs.pool.pool_env:PoolVectorEnv",
             max_episode_steps=POOL_STEPS,
         )
     if UNIT not in gymnasium.registry:

@@ -75,7 +75,7 @@ class Misfit:
                     f'noise_sd "{name}": {np.shape(noise_sd[name])} does not fit values of {tuple(target.shape[1:])}'
                 ) from error
             self.noise_sd[name] = spread.ravel()
-            target = target.flatten(1)
+            target = target.reshape(len(target), -1)  # a reading may be one number, (steps,)
             there = ~torch.isnan(target)
             self.targets[name] = target.nan_to_num(), there / torch.from_numpy(self.noise_sd[name].copy())
 
@@ -114,7 +114,8 @@ class Misfit:
         taken = self._replayed(points)
         parts = []
         for name, (target, weight) in self.targets.items():
-            miss = taken[name].flatten(2).to(torch.float64)
+            shown = taken[name]
+            miss = shown.reshape(*shown.shape[:2], -1).to(torch.float64, copy=True)
             parts.append(miss.sub_(target[:, None]).mul_(weight[:, None]))
         return parts
 

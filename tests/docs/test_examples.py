@@ -54,6 +54,7 @@ def test_examples_go_on_from_the_first_graph(
         pytest.param("identify.md", marks=pytest.mark.study),
         "pages.md",
         "planning.md",
+        "pool.md",
         "ppo.md",
         "runtimes.md",
         "systems.md",

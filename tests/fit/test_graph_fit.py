@@ -46,7 +46,8 @@ class Watcher(Supervisor):
     inputs = ("sled",)
 
     def observe(self, parameters, state, inputs, action):
-        return state, {"observation": inputs["sled"].data[:, -1]}
+        newest = inputs["sled"].data[:, -1]
+        return state, {"observation": newest, "position": newest[:, 0]}
 
 
 def make() -> Graph:
@@ -95,6 +96,16 @@ def test_fit_graph_recovers_mass_and_trainable_delay(unit):
     assert delay == pytest.approx(LOW + TRUE["late"] * (HIGH - LOW), abs=0.005)
     assert result.rms["observation"] == pytest.approx(sd, rel=0.1)
     assert result.convergence.stages[0][1][-1] < result.convergence.stages[0][1][0]
+
+
+def test_a_reading_may_be_one_number(unit):
+    graph, episode = unit
+    position = seen_by_supervisor(graph, episode, "sled->agent")[:, 0]
+    sought, true = {"sled.mass": (0.5, 3.0)}, {"sled": {"late": torch.tensor(TRUE["late"], dtype=F64)}}
+    result = fit_graph(
+        graph, episode, true, sought, {"position": position}, {"position": 1e-3}, population=16
+    )
+    assert result.estimates["sled.mass"].value == pytest.approx(TRUE["mass"], rel=1e-3)
 
 
 @pytest.mark.parametrize(

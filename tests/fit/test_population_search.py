@@ -171,3 +171,18 @@ def test_cma_es_names_the_extra_of_a_missing_library(monkeypatch):
     )
     with pytest.raises(MissingExtraError, match=r'pip install "cma'):
         cma_es(batched(np.sum), np.zeros(1), np.ones(1), np.zeros(1), np.ones(1), np.random.default_rng(0))
+
+
+def test_a_search_for_one_number_grows_up_to_its_bounds():
+    """The way to the optimum is thirty deviations long, so the deviation grows beyond a third of the box."""
+    search = cma_es(
+        lambda points: 1e3 * np.abs(points[:, 0] - 0.9),
+        np.array([0.1]),
+        np.array([0.01]),
+        np.array([0.0]),
+        np.array([1.0]),
+        generator=np.random.default_rng(0),
+        population=16,
+        generations=60,
+    )
+    assert search.best[0] == pytest.approx(0.9, abs=1e-3)

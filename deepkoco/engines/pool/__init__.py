@@ -1,6 +1,7 @@
-"""The nodes of a pool: water, heater, pump, thermometer and what estimates and controls them."""
+"""The nodes of a pool: water, heater, pump, thermometer, and the age of what the thermometer shows."""
 
-from deepkoco.engines.pool.assembly import FILTERS, LONGEST_AGE, PoolOptions, pool_graph, pool_start
-from deepkoco.engines.pool.seat import PoolSeat
+from deepkoco.engines.pool.devices import Actuator, Probe
+from deepkoco.engines.pool.flow_delay import FlowDelay
+from deepkoco.engines.pool.world import PoolWorld
 
-__all__ = ["FILTERS", "LONGEST_AGE", "PoolOptions", "PoolSeat", "pool_graph", "pool_start"]
+__all__ = ["Actuator", "FlowDelay", "PoolWorld", "Probe"]

@@ -85,8 +85,8 @@ def cma_es(
             # A seed of the library would set NumPy's global state.
             "randn": lambda *shape: generator.standard_normal(shape),
             "seed": np.nan,
-            # The library has the same limit for its own box constraints.
-            "maxstd": ((box.high - box.low) / 3.0).tolist(),
+            # The library has the same limit for its own box constraints, but fails where it binds a single coordinate.
+            **({} if len(start) == 1 else {"maxstd": ((box.high - box.low) / 3.0).tolist()}),
             "maxiter": generations,
             "tolfun": tolerance,
             "tolfunhist": tolerance,

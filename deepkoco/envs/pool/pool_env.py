@@ -12,10 +12,10 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from torch import Tensor
 
-from deepkoco.engines.pool import PoolOptions, pool_graph, pool_start
-from deepkoco.engines.pool.seat import LARGEST, LOWEST_PUMP
 from deepkoco.envs.graph_env import FIRST_STEPS, GraphEnv
 from deepkoco.envs.graph_vector_env import GraphVectorEnv
+from deepkoco.envs.pool import PoolOptions, pool_graph, pool_start
+from deepkoco.envs.pool.seat import LARGEST, LOWEST_PUMP
 from deepkoco.envs.randomization import Randomize
 from deepkoco.envs.settings import SettingsError
 from deepkoco.graph.model.node import State
@@ -39,7 +39,7 @@ class PoolVectorEnv(GraphVectorEnv):
     Args:
         num_envs: Environments B.
         max_episode_steps: Steps of an episode, of 10 s each.
-        filter: "none", or what a Kalman filter takes the measurements to be: see `deepkoco.engines.pool.FILTERS`.
+        filter: "none", or what a Kalman filter takes the measurements to be: see `deepkoco.envs.pool.FILTERS`.
         action_history: How many past actions are appended to the observation, newest first.
         noise: Thermometer and flow meter have noise.
         sensing_delay, actuation_delay: From the thermometer to the agent and from the agent to heater and pump, of

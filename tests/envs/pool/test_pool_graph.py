@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from deepkoco.engines.pool import PoolOptions, pool_graph, pool_start
+from deepkoco.envs.pool import PoolOptions, pool_graph, pool_start
 from deepkoco.graph import BatchedRuntime, draw_timing, replay_episode
 from deepkoco.graph.live import ConcurrentRuntime, SimulatedRuntime, WallClockRuntime
 

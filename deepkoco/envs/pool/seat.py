@@ -26,8 +26,8 @@ class PoolSeat(Supervisor):
 
     Readings: ``observation`` (B, 4): the goal less the measured temperature [K], the goal less 30 deg C [K], the
     measured flow by the largest, and the goal less what a filter estimates, where there is one (else the measured
-    temperature again). Then the past actions in [-1, 1], newest first. ``reward``, minus the cost; and of the truth
-    ``temperature``, ``goal`` and ``transport_delay`` (B,).
+    temperature again). Then the past actions in [-1, 1], newest first. ``reward``, minus the cost. Further, (B,) each:
+    ``measured``, what the thermometer shows, ``goal``, and of the truth ``temperature`` and ``transport_delay``.
 
     Args:
         rate: Decisions per second [Hz].
@@ -86,6 +86,7 @@ class PoolSeat(Supervisor):
             "observation": parts,
             "reward": -cost,
             "temperature": pool,
+            "measured": measured,
             "goal": goal,
             "transport_delay": delay,
         }

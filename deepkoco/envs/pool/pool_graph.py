@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
 
 from deepkoco.engines.pid import Pid
-from deepkoco.engines.pool.devices import Actuator, Probe
-from deepkoco.engines.pool.flow_delay import FlowDelay
-from deepkoco.engines.pool.seat import LOWEST_PUMP, PoolSeat
-from deepkoco.engines.pool.world import PoolWorld
-from deepkoco.fit.state.kalman import LinearModel
-from deepkoco.fit.state.kalman_node import AgedKalmanNode, KalmanNode
+from deepkoco.engines.pool import Actuator, FlowDelay, PoolWorld, Probe
+from deepkoco.envs.pool.seat import LOWEST_PUMP, PoolSeat
 from deepkoco.graph import Connection, Graph, Node
 from deepkoco.graph.delay import Delay, make_delay
 from deepkoco.graph.model.node import State
 from deepkoco.systems.fluids import pool_parameters
 from deepkoco.systems.fluids.pool import HEAT_CAPACITY
+
+if TYPE_CHECKING:
+    from deepkoco.fit.state.kalman_node import KalmanNode
 
 FILTERS = ("none", "now", "constant", "flow")
 """What a filter takes a measurement to be: no filter; of now; of a constant time ago; of a time that the flow tells."""
@@ -39,6 +38,7 @@ class PoolOptions:
         constant_age: What the filter "constant" takes the age of the water to be [s].
         controlled: A PID controller moves the heater, and the agent gives its goal.
         gain, integral_time, derivative_time: Of the controller: level per K, [s], [s].
+        heat_noise: Of the filter: spectral density of the unknown heat [W2/s].
         noise: The thermometer has noise of 0.05 K and the flow meter of 1 %.
         history: Past actions in the agent's observation.
         sensing_delay: From the thermometer to controllers, at most a second.
@@ -51,6 +51,7 @@ class PoolOptions:
     gain: float = 0.5
     integral_time: float = 1200.0
     derivative_time: float = 0.0
+    heat_noise: float = 2e4
     noise: bool = True
     history: int = 0
     sensing_delay: Any = None
@@ -167,6 +168,10 @@ def _kalman(options: PoolOptions) -> KalmanNode:
 
     What the pipe takes from the pool and gives back is a heat that it does not know: 2 % of the water.
     """
+    # The fits are a second of imports.
+    from deepkoco.fit.state.kalman import LinearModel
+    from deepkoco.fit.state.kalman_node import AgedKalmanNode, KalmanNode
+
     by_node = {node: {k: float(v) for k, v in own.items()} for node, own in pool_parameters().items()}
     world, heater = by_node["world"], by_node["heater"]
     capacity = HEAT_CAPACITY * world["pool_volume"]
@@ -175,8 +180,8 @@ def _kalman(options: PoolOptions) -> KalmanNode:
         dynamics=[[-loss, 1.0 / capacity, 1.0 / capacity], [0.0, 0.0, 0.0], [0.0, 0.0, -lag]],
         command=[[0.0, loss], [0.0, 0.0], [lag * heater["scale"], 0.0]],
         sensor=[[1.0, 0.0, 0.0]],
-        # The unknown heat wanders by some 8 kW in 5 minutes; the temperature hardly by itself.
-        noise_density=[1e-8, 2e5, 1e2],
+        # The unknown heat wanders by some 2 kW in 5 minutes; the temperature hardly by itself.
+        noise_density=[1e-8, options.heat_noise, 1e2],
         noise_sd=[0.05],
         longest_step=1.1 * STEP,
     )

@@ -8,7 +8,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import deepkoco.envs
-from deepkoco.envs.pool_env import PoolEnv, PoolVectorEnv
+from deepkoco.envs.pool.pool_env import PoolEnv, PoolVectorEnv
 from deepkoco.envs.settings import SettingsError
 
 START = {"temperature": 29.0, "goal": 30.0}
