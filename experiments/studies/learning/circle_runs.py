@@ -105,7 +105,7 @@ def fly(
         seed: Of noise and jitter.
 
     Returns:
-        Mean distances from the circle after the first two seconds [m], by radius; and places (T, E, 3) along the way.
+        Mean distances from the circle after the first two seconds [m], by radius; and places (T, B, 3) along the way.
     """
     circles = [circle for circle in CIRCLES for _ in range(FLIGHTS)]
     envs: VectorEnv = QuadrotorUnits(true, circles, action_history=HISTORY)
