@@ -122,7 +122,9 @@ def draw_flights(folder: Path, seed: int) -> Figure:
     radius = CIRCLES[1][0]
     turn = np.linspace(0.0, 2.0 * np.pi, 100)
     with house_style():
-        figure, panels = plt.subplots(1, len(LABELS), figsize=(9.0, 3.2), sharey=True, layout="constrained")
+        figure, panels = plt.subplots(
+            1, len(LABELS), figsize=(9.0, 3.2), sharex=True, sharey=True, layout="constrained"
+        )
         for flight in json.loads((folder / f"unit_{seed}.json").read_text())["flights"]:
             if flight["places"] is None:
                 continue
