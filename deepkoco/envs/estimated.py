@@ -29,9 +29,9 @@ class FilterSettings:
     """What a filter of a task's system takes for granted.
 
     Attributes:
-        noise_density: (S + L,) spectral density of the process noise of each state, and of each effort that lags.
+        noise_density: (S + E,) spectral density of the process noise of each state, and of each effort that lags.
         noise_sd: (N,) standard deviation of each sensor, in the channel's unit.
-        start_sd: (S + L,) standard deviation before the first measurement.
+        start_sd: (S + E,) standard deviation before the first measurement.
     """
 
     noise_density: tuple[float, ...]

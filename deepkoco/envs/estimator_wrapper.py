@@ -43,7 +43,8 @@ class Estimates:
         env: Says ``system``, ``task`` and ``action_scale`` where they are not given.
         rate: Steps per second [Hz].
         estimator: ``filtered`` or ``predicted``.
-        actuation_delay: Expected time from sending until a command acts [s]; None: what ``env`` expects, or 0.
+        actuation_delay: Expected time from sending until a command acts [s]; None: that of the model, and what
+            ``env`` expects besides.
         sensing_delay: Age of an observation [s] where ``info`` has no ``observation_age``; None: likewise.
         process_noise: As for `EnvironmentSettings`.
         model: What `load_system` takes, for a model of other parameters; None: the system of ``env``.
@@ -191,7 +192,8 @@ class EstimatorWrapper(gymnasium.Wrapper, RecordConstructorArgs):
         env: An environment of a task of this package, or a wrapper around one.
         estimator: ``predicted``: the state at which the next action will act; ``filtered``: that of the newest
             measurement.
-        actuation_delay: Expected time from sending until an action acts [s]; None: what a `DelayWrapper` expects, or 0.
+        actuation_delay: Expected time from sending until an action acts [s]; None: that of the
+            model, and what a `DelayWrapper` expects besides.
         sensing_delay: Age of an observation [s] where ``info`` does not say it; None: likewise.
         process_noise: Standard deviation of the white acceleration of each joint, times the square root of a second.
         model: What `deepkoco.load_system` takes, for a model of other parameters; None: the system of ``env``.

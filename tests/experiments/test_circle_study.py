@@ -75,31 +75,32 @@ def test_flights_are_measured_by_radius(model, monkeypatch):
     assert places.shape == (6, 3, 3)
 
 
-def stored_run(method, seed, error):
+def stored_run(seed):
     flights = [
         {
-            "further_delay": further, "predicted": predicted,
+            "method": method, "further_delay": further, "predicted": predicted,
             "errors": {"0.25": [error], "0.5": [error, error], "1": [error]},
             "places": [[0.5, 0.0, 0.0], [0.0, 0.5, 0.0]] if further == study.FURTHER else None,
         }
+        for method, error in (("without", 0.13), ("delays", 0.02))
         for further, predicted in ((0.0, False), (study.FURTHER, False), (study.FURTHER, True))
         if method == "without" or not predicted
     ]  # fmt: skip
+    trainings = {method: {"cost": 8.0, "cpu_seconds": 40.0 + seed} for method in runs.METHODS}
     return {
-        "method": method, "seed": seed, "cost": 8.0, "fit_cpu_seconds": 1.0, "training_cpu_seconds": 40.0,
-        "cpu_seconds": 50.0, "commit": "abc", "flights": flights,
+        "seed": seed, "fit_cpu_seconds": 1.0, "cpu_seconds": 50.0, "commit": "abc", "flights": flights,
+        "trainings": trainings,
     }  # fmt: skip
 
 
 def test_results_become_tables_and_figures(tmp_path):
     for seed in (0, 1):
-        for method, error in (("without", 0.13), ("delays", 0.02)):
-            path = tmp_path / f"{method}_{seed}.json"
-            path.write_text(json.dumps(stored_run(method, seed, error)))
+        (tmp_path / f"unit_{seed}.json").write_text(json.dumps(stored_run(seed)))
     found, errors = study.tables(tmp_path)
     text = study.summary(found, errors)
     assert "| trained with the identified delays | 80 ms | 0.020 m [0.020, 0.020] |" in text
     assert "at 0.5 m: 6.5 to 6.5, at least 3 in 2 of 2 seeds" in text
+    assert "delays: 40 to 41 processor seconds a training" in text
     assert set(errors["label"]) == {"without", "predicted", "delays"}
     assert len(study.draw(errors).axes) == 3
     assert len(study.draw_flights(tmp_path, 0).axes) == 3

@@ -253,6 +253,20 @@ def test_random_ranges_of_the_sensing_delay_reach_the_estimator():
     assert ((envs.drawn["sensing_delay"] >= 0.02) & (envs.drawn["sensing_delay"] <= 0.06)).all()
 
 
+def test_the_filter_expects_the_middle_of_a_delay_that_is_drawn():
+    envs = DelayGraphVectorEnv(
+        1,
+        10,
+        system="pendulum",
+        estimator="predicted",
+        randomize={"actuation_delay": (0.01, 0.05)},
+        executor="eager",
+    )
+    node = envs.graph.node("estimator")
+    assert isinstance(node, StateEstimator)
+    assert (node.actuation_delay, node.ahead) == pytest.approx((0.03, 0.03))
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

@@ -280,7 +280,7 @@ def system_derivative(system: System, parameters: Parameters) -> Derivative:
     """Equations of motion of a system (`deepkoco.systems.System`) in the form that the estimator needs.
 
     The efforts of actuators with a time constant are states behind the system's own, see `LagStates`: the state then
-    has S + L entries, and `system_measurement` is what goes with it.
+    has S + E entries, and `system_measurement` is what goes with it.
 
     Args:
         system: The system. Its delays are not included: `send` and `receive` take them, and ``further`` those of each
@@ -304,7 +304,7 @@ def system_derivative(system: System, parameters: Parameters) -> Derivative:
 
 
 def system_measurement(system: System) -> Callable[[Tensor], Tensor]:
-    """What sensors without any error show (B, K, N) of states (B, K, S + L) of `system_derivative`."""
+    """What sensors without any error show (B, K, N) of states (B, K, S + E) of `system_derivative`."""
     lags = LagStates(system)
     return lambda points: system.ideal_measurement(lags.plain(points))
 

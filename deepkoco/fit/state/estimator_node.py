@@ -25,7 +25,7 @@ class StateEstimator(Node):
 
     It stands between a sensor and an agent. At each tick it takes in the measurements that have arrived since the last
     one, each at the time of its stamp, and then goes on to ``ahead`` after the tick under the commands that were sent.
-    The mean command over each step of the integration is held, so a command may act at any instant. The efforts of L
+    The mean command over each step of the integration is held, so a command may act at any instant. The efforts of E
     actuators with a time constant are states of their own behind the system's (`LagStates`), and commands may have
     delays of their own beyond the common one.
 
@@ -34,8 +34,8 @@ class StateEstimator(Node):
     ticks, those beyond the window are not used.
 
     Output, in parts: ``measurement`` (B, N), what sensors without noise and delay would show at the time of the
-    estimate; ``state`` (B, S), the estimate; ``root`` (B, S + L, S + L), lower triangular, a root of the covariance;
-    and where there are any, ``effort`` (B, L), what the actuators with a time constant deliver. `TaskAgent` takes the
+    estimate; ``state`` (B, S), the estimate; ``root`` (B, S + E, S + E), lower triangular, a root of the covariance;
+    and where there are any, ``effort`` (B, E), what the actuators with a time constant deliver. `TaskAgent` takes the
     measurement in the place of a sensor's.
 
     All steps are fixed in number, so it runs in each executor and runtime. For recordings, with measurements that come
@@ -44,7 +44,7 @@ class StateEstimator(Node):
     Args:
         system: The model; its parameters are those of this node, or the nominal ones where it is given none.
         rate: Ticks per second, those of the agent [Hz].
-        noise_density: (S + L,) spectral density of the process noise of each state, its unit squared per second.
+        noise_density: (S + E,) spectral density of the process noise of each state, its unit squared per second.
         noise_sd: (N,) standard deviation of each sensor, above 0.
         ahead: How long after a tick the estimate is for [s]; None: the time of the newest measurement (filtered only).
         actuation_delay: Expected time from the sending of a command until it acts, tau_a [s].
@@ -52,7 +52,7 @@ class StateEstimator(Node):
         measurement_period: Usual time between two measurements [s].
         latest: Longest usual age of the newest measurement [s]. It sets the number of steps of the prediction; a longer
             one is made in longer steps.
-        start_sd: (S + L,) standard deviation before the first measurement: around zero, of the efforts around what is
+        start_sd: (S + E,) standard deviation before the first measurement: around zero, of the efforts around what is
             held then.
         command_limits: (low, high) of each command, to which it is cut; None takes those of the channels.
         idle: Commands (M,) that are held before the first one is sent; None: zeros.

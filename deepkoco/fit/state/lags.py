@@ -16,7 +16,7 @@ class LagStates:
     for each of its points.
 
     Args:
-        system: Which of its L commands lag is read from its nominal parameters.
+        system: Which E of its commands lag is read from its nominal parameters.
     """
 
     def __init__(self, system: System) -> None:
@@ -31,23 +31,23 @@ class LagStates:
 
     @property
     def width(self) -> int:
-        """S + L."""
+        """S + E."""
         return self.states + len(self.commands)
 
     def plain(self, points: Tensor) -> Tensor:
-        """The system's own states (..., S) of points (..., S + L)."""
+        """The system's own states (..., S) of points (..., S + E)."""
         return points[..., : self.states] if self.commands else points
 
     def efforts(self, effort: Tensor) -> Tensor:
-        """What lags (..., L) of an effort (..., M), or (...) of a single command."""
+        """What lags (..., E) of an effort (..., M), or (...) of a single command."""
         parts = (effort,) if len(self.system.commands) == 1 else effort.unbind(-1)
         return torch.stack([parts[k] for k in self.commands], -1)
 
     def slopes(self, points: Tensor, target: Tensor, parameters: Parameters) -> tuple[Tensor, Tensor]:
-        """Effort that acts now, of the shape of ``target``, and slope of the efforts that lag (..., L).
+        """Effort that acts now, of the shape of ``target``, and slope of the efforts that lag (..., E).
 
         Args:
-            points: (..., S + L).
+            points: (..., S + E).
             target: (..., M), or (...) of a single command: what the actuators go to.
             parameters: Named values, each scalar or (...).
         """
@@ -61,10 +61,10 @@ class LagStates:
     def after(
         self, points: Tensor, target: Tensor, h: Tensor, parameters: Parameters
     ) -> tuple[Tensor, list[Tensor]]:
-        """Mean effort over a step, of the shape of ``target``, and what lags at its end, L times (...).
+        """Mean effort over a step, of the shape of ``target``, and what lags at its end, E times (...).
 
         Args:
-            points: (..., S + L).
+            points: (..., S + E).
             target: (..., M), or (...) of a single command, held.
             h: Length of the step [s], (...) or a shape that broadcasts against it; may be 0.
             parameters: Named values, each scalar or (...).

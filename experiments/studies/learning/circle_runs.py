@@ -1,6 +1,6 @@
-"""One policy of the study of circle following: a unit is identified, a policy trained for it, and flown on it.
+"""One unit of the study of circle following: it is identified, policies are trained for it and flown on it.
 
-    python -m experiments.studies.learning.circle_runs delays 0 result.json
+    python -m experiments.studies.learning.circle_runs unit 0 result.json
 
 Each is a process of its own, so that its processor time is all that it took: imports, compilation, identification,
 training and flights.
@@ -90,7 +90,7 @@ def make_config(**changes: Any) -> PpoConfig:
         **changes: Of single settings.
     """
     stored = read_yaml(CONFIGS / "agent_on_task" / f"ppo_{TASK}.yaml")["agent"]
-    return PpoConfig(**{**stored, "reference_episodes": 0, **changes})
+    return PpoConfig(**{**stored, "reference_episodes": 0, "final_evaluation_episodes": 64, **changes})
 
 
 def fly(
@@ -105,7 +105,7 @@ def fly(
         seed: Of noise and jitter.
 
     Returns:
-        Mean distances from the circle after the first two seconds [m], by radius; and places (T, E, 3) along the way.
+        Mean distances from the circle after the first two seconds [m], by radius; and places (T, B, 3) along the way.
     """
     circles = [circle for circle in CIRCLES for _ in range(FLIGHTS)]
     envs: VectorEnv = QuadrotorUnits(true, circles, action_history=HISTORY)
@@ -124,59 +124,89 @@ def fly(
     return by_radius, np.array(places)
 
 
-def run(method: str, seed: int, episodes: int | None) -> dict[str, Any]:
-    """Identify a unit, train for it and fly on it.
+def run(seed: int, episodes: int | None) -> dict[str, Any]:
+    """Identify a unit, train for it with each of the methods and fly on it.
 
     Args:
-        method: One of `METHODS`.
-        seed: Of the unit and the training.
-        episodes: Of the training; None: as stored.
+        seed: Of the unit and the trainings.
+        episodes: Of a training; None: as stored.
 
     Returns:
-        Estimates, cost in the simulation, and flights: further delay, estimator, errors by radius, one way.
+        Estimates; of each training cost and processor seconds; and flights: method, further delay, estimator, errors by
+        radius, one way.
     """
     begun = time.process_time()
     values = identified(make_unit(seed, FURTHER), seed)
-    fitted = time.process_time()
+    fitted = time.process_time() - begun
+    trainings: dict[str, dict[str, float]] = {}
+    flights: list[dict[str, Any]] = []
+    for method in METHODS:
+        begun = time.process_time()
+        policy, cost = train(method, seed, values, episodes)
+        trainings[method] = {"cost": cost, "cpu_seconds": time.process_time() - begun}
+        flights += flights_of(method, policy, seed, values)
+    return {
+        "true": make_unit(seed, FURTHER),
+        "found": values,
+        "fit_cpu_seconds": fitted,
+        "trainings": trainings,
+        "flights": flights,
+    }
+
+
+def train(
+    method: str, seed: int, values: Mapping[str, float], episodes: int | None
+) -> tuple[PpoPolicy, float]:
+    """A policy for a unit, and its cost in the simulation.
+
+    Args:
+        method: One of `METHODS`.
+        seed: Of the training.
+        values: What is known of the unit.
+        episodes: Of the training; None: as stored.
+    """
     config = make_config(**({} if episodes is None else {"total_episodes": episodes}))
     with tempfile.TemporaryDirectory() as folder:
         trainer = PpoTrainer(make_simulation(method, values), config, seed, Path(folder))
         last = trainer.run()
-        policy = trainer.policy
-    trained = time.process_time()
-    first = derive_seed(seed, Purpose.FINAL_EVALUATION) % 2**31
-    ways: list[tuple[float, dict[str, float] | None]] = [(further, None) for further in SWEEP]
+        return trainer.policy, last["evaluation/cost"]
+
+
+def flights_of(
+    method: str, policy: PpoPolicy, seed: int, values: Mapping[str, float]
+) -> list[dict[str, Any]]:
+    """Flights of a policy on its unit, under each further delay, and where it knows none with a predicted state too."""
+    ways: list[tuple[float, Mapping[str, float] | None]] = [(further, None) for further in SWEEP]
     if method == "without":
         ways.append((FURTHER, values))
+    first = derive_seed(seed, Purpose.FINAL_EVALUATION) % 2**31
     flights = []
     for further, model in ways:
         errors, places = fly(policy, make_unit(seed, further), model, first)
-        shown = places[:, DRAWN].round(4).tolist() if further == FURTHER else None
         flights.append(
-            {"further_delay": further, "predicted": model is not None, "errors": errors, "places": shown}
+            {
+                "method": method,
+                "further_delay": further,
+                "predicted": model is not None,
+                "errors": errors,
+                "places": places[:, DRAWN].round(4).tolist() if further == FURTHER else None,
+            }
         )
-    return {
-        "cost": last["evaluation/cost"],
-        "true": make_unit(seed, FURTHER),
-        "found": values,
-        "flights": flights,
-        "fit_cpu_seconds": fitted - begun,
-        "training_cpu_seconds": trained - fitted,
-    }
+    return flights
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Identify, train, fly and write the result as JSON; returns the exit status."""
     parser = argparse.ArgumentParser(
-        description="Train one policy for a hidden quadrotor and fly it in circles."
+        description="Train policies for a hidden quadrotor and fly them."
     )
-    parser.add_argument("method", choices=list(METHODS))
+    parser.add_argument("kind", choices=["unit"])
     parser.add_argument("seed", type=int)
     parser.add_argument("out", type=Path, help="new file")
     parser.add_argument("--training", type=int, default=None, help="episodes of the training")
     args = parser.parse_args(arguments)
     torch.set_num_threads(1)
-    write_whole_text(args.out, json.dumps(run(args.method, args.seed, args.training)))
+    write_whole_text(args.out, json.dumps(run(args.seed, args.training)))
     return 0
 
 

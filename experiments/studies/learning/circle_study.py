@@ -26,7 +26,7 @@ from deepkoco.output.whole_file import writing
 from deepkoco.runs.settings import ExperimentError
 from experiments.plumbing.own_process import run_once
 from experiments.plumbing.provenance import as_markdown
-from experiments.studies.learning.circle_runs import CIRCLES, FURTHER, METHODS
+from experiments.studies.learning.circle_runs import CIRCLES, FURTHER
 
 RUNS = "experiments.studies.learning.circle_runs"
 WANTED, RATIO = 0.06, 3.0  # path error with delays [m], and that without over it
@@ -45,13 +45,13 @@ def tables(folder: Path) -> tuple[pd.DataFrame, pd.DataFrame]:
         folder: Of the results.
 
     Returns:
-        A row for each run; and one for each of its flight conditions and radii, with mean and largest error [m].
+        A row for each training; and one for each of its flight conditions and radii, with mean and largest error [m].
     """
     runs, errors = [], []
     for path in sorted(folder.glob("*.json")):
         run = json.loads(path.read_text())
         for flight in run["flights"]:
-            label = "predicted" if flight["predicted"] else run["method"]
+            label = _label(flight)
             for radius, values in flight["errors"].items():
                 errors.append(
                     {
@@ -64,9 +64,15 @@ def tables(folder: Path) -> tuple[pd.DataFrame, pd.DataFrame]:
                         "largest": float(np.max(values)),
                     }
                 )
-        runs.append(run)
-    columns = ["method", "seed", "cost", "fit_cpu_seconds", "training_cpu_seconds", "cpu_seconds", "commit"]
+        for method, training in run["trainings"].items():
+            own = {"cost": training["cost"], "training_cpu_seconds": training["cpu_seconds"]}
+            runs.append({**run, "method": method, **own})
+    columns = ["method", "seed", "cost", "training_cpu_seconds", "fit_cpu_seconds", "cpu_seconds", "commit"]
     return pd.DataFrame(runs, columns=columns), pd.DataFrame(errors)
+
+
+def _label(flight: dict) -> str:
+    return "predicted" if flight["predicted"] else flight["method"]
 
 
 def draw(errors: pd.DataFrame) -> Figure:
@@ -116,21 +122,17 @@ def draw_flights(folder: Path, seed: int) -> Figure:
     radius = CIRCLES[1][0]
     turn = np.linspace(0.0, 2.0 * np.pi, 100)
     with house_style():
-        figure, panels = plt.subplots(1, len(LABELS), figsize=(9.0, 3.2), sharey=True, layout="constrained")
-        for method in METHODS:
-            path = folder / f"{method}_{seed}.json"
-            if not path.exists():
+        figure, panels = plt.subplots(
+            1, len(LABELS), figsize=(9.0, 3.2), sharex=True, sharey=True, layout="constrained"
+        )
+        for flight in json.loads((folder / f"unit_{seed}.json").read_text())["flights"]:
+            if flight["places"] is None:
                 continue
-            for flight in json.loads(path.read_text())["flights"]:
-                if flight["places"] is None:
-                    continue
-                label = "predicted" if flight["predicted"] else method
-                panel = panels[list(LABELS).index(label)]
-                x, y, _ = np.array(flight["places"]).T
-                panel.plot(
-                    radius * np.cos(turn), radius * np.sin(turn), color="#40965a", linewidth=3, alpha=0.5
-                )
-                panel.plot(x, y, color=COLOURS[label], linewidth=1)
+            label = _label(flight)
+            panel = panels[list(LABELS).index(label)]
+            x, y, _ = np.array(flight["places"]).T
+            panel.plot(radius * np.cos(turn), radius * np.sin(turn), color="#40965a", linewidth=3, alpha=0.5)
+            panel.plot(x, y, color=COLOURS[label], linewidth=1)
         for panel, text in zip(panels, LABELS.values(), strict=True):
             panel.set_title(text, fontsize=9)
             panel.set_aspect("equal")
@@ -168,10 +170,8 @@ def summary(runs: pd.DataFrame, errors: pd.DataFrame) -> str:
             )
     lines.append("")
     for method, rows in runs.groupby("method"):
-        times = [
-            f"{rows[n].min():.0f} to {rows[n].max():.0f}" for n in ("training_cpu_seconds", "cpu_seconds")
-        ]
-        lines.append(f"{method}: training {times[0]}, whole run {times[1]} processor seconds")
+        seconds = rows["training_cpu_seconds"]
+        lines.append(f"{method}: {seconds.min():.0f} to {seconds.max():.0f} processor seconds a training")
     ratios = _ratios(errors)
     if len(ratios):
         reached = int((ratios >= RATIO).sum())
@@ -196,7 +196,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description="Circles of a quadrotor, trained with and without delays.")
     parser.add_argument("--out", type=Path, required=True, help="folder of the results")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
-    parser.add_argument("--methods", nargs="+", choices=list(METHODS), default=list(METHODS))
     parser.add_argument(
         "--training", type=int, default=None, help="episodes of a training; default: as stored"
     )
@@ -207,15 +206,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with writing(folder):
             folder.mkdir(parents=True, exist_ok=True)
         for seed in args.seeds:
-            for method in args.methods:
-                run_once(RUNS, method, seed, folder, options)
-                runs, errors = tables(folder)
-                runs.to_csv(args.out / "runs.csv", index=False, float_format="%.3f")
-                errors.to_csv(args.out / "errors.csv", index=False, float_format="%.5f")
-                (args.out / "path_error.png").write_bytes(as_png(draw(errors)))
-                (args.out / "flights.png").write_bytes(as_png(draw_flights(folder, args.seeds[0])))
-                plt.close("all")
-                print(f"{method}, seed {seed}", flush=True)
+            run_once(RUNS, "unit", seed, folder, options)
+            runs, errors = tables(folder)
+            runs.to_csv(args.out / "runs.csv", index=False, float_format="%.3f")
+            errors.to_csv(args.out / "errors.csv", index=False, float_format="%.5f")
+            (args.out / "path_error.png").write_bytes(as_png(draw(errors)))
+            (args.out / "flights.png").write_bytes(as_png(draw_flights(folder, args.seeds[0])))
+            plt.close("all")
+            print(f"seed {seed}", flush=True)
     except ExperimentError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

@@ -24,7 +24,7 @@ SIMULATION: dict[str, Any] = {"system": "quadrotor", "task": "quadrotor_circle"}
 
 
 class QuadrotorUnits(VectorEnv):
-    """E quadrotors of the same hidden parameters, each on a circle of its own, as an environment of the task.
+    """B quadrotors of the same hidden parameters, each on a circle of its own, as an environment of the task.
 
     They start at rest on their circles, held by the thrust that their masses need. What is seen, and what an action
     means, is as in `DelayGraphVectorEnv`; ``info`` has the true ``path_error`` [m] and ``speed_along`` [m/s].
@@ -79,7 +79,7 @@ class QuadrotorUnits(VectorEnv):
         return self._shown(), self._info()
 
     def step(self, actions: np.ndarray):
-        """Send the actions (E, 3) and go on to the next tick."""
+        """Send the actions (B, 3) and go on to the next tick."""
         command = np.clip(np.asarray(actions, float) * self.action_scale + self.action_centre, *self._range)
         jitter = self._rng.normal(0.0, JITTER, command.shape)
         due = np.maximum(self._steps * STEP + np.maximum(self._delays + jitter, 0.0), self._last)
