@@ -237,6 +237,26 @@ def test_a_command_far_above_its_limit_has_the_unit_that_brings_it_below_or_is_a
     assert any('"goal"' in d and asked in d for d in doubts)
 
 
+def test_a_command_in_the_steps_of_a_driver_is_asked_for_its_scale(tmp_path):
+    """A mere number has no smaller unit than per cent; 16 bits are the full scale of many drivers."""
+    frame = {"t": T, "tilt": 0.4 * np.roll(FAST, 5), "motor_cmd": np.round(32767 * FAST / np.abs(FAST).max())}
+    pd.DataFrame(frame).to_csv(tmp_path / "log.csv", index=False)
+    drive = {
+        "units": ("rad",),
+        "names": ("tilt",),
+        "shown": ("tilt",),
+        "driven": (0,),
+        "commands": (("drive", "1"),),
+    }
+    survey = survey_log(open_log(tmp_path / "log.csv"))
+    system = channels(drive)
+    doubts = doubts_of(survey, propose(survey, system).proposal)
+    limit = system.commands[0].high
+    (doubt,) = [d for d in doubts if "times the limit" in d]
+    assert "check its unit (%)" in doubt
+    assert f"{limit / 32767:.6g} makes its largest value the limit" in doubt
+
+
 class WheelPendulum(System):
     """A pendulum with a reaction wheel, of which the speed is measured and not the angle."""
 
