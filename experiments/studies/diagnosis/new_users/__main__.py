@@ -92,11 +92,11 @@ def run_case(name: str, log: Path, report: Path) -> dict[str, Any]:
     return row | judged(case, answer) | {"cpu_s": round(children_seconds() - began, 1)}
 
 
-def _correct(sidecar: Path, corrected: Mapping[str, Mapping[str, float]]) -> None:
-    """Change keys of channels in a sidecar."""
+def _correct(sidecar: Path, corrected: Mapping[str, Mapping[str, Any]]) -> None:
+    """Change keys of channels in a sidecar, and add channels that it lacks."""
     content = yaml.safe_load(sidecar.read_text(encoding="utf-8"))
     for channel, keys in corrected.items():
-        content["channels"][channel].update(keys)
+        content["channels"].setdefault(channel, {}).update(keys)
     sidecar.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
 
 

@@ -56,4 +56,13 @@ ROBOT = Robot(
         "conveyor_creep": Case("conveyor", {"creep": 0.97}, ("sensor_scale",), None),
         "conveyor_incline": Case("conveyor", {"incline": -60.0}, ("constant_load", "torque_bias"), -60.0),
     },
+    # The motor turns, the drum moves the belt: inspect has no column for it, and the engineer writes it down.
+    corrected={
+        "drum": {
+            "column": "motor_rpm",
+            "unit": "m/s",
+            "kind": "measurement",
+            "scale": TURN / 60.0 * DRUM / GEAR,
+        }
+    },
 )  # fmt: skip
