@@ -192,7 +192,8 @@ def _zeros(solution: MethodResult, covariance: np.ndarray) -> tuple[Estimate, ..
         value, sd = float(solution.fit.nuisance[k]), float(np.sqrt(covariance[k, k]))
         low, high = interval(value, sd, (-np.inf, np.inf))
         name = zeros.name(k, solution.request.system)
-        result.append(Estimate(name, value, low, high, sd, "rad", 0.0, (-np.inf, np.inf)))
+        unit = zeros.unit(k, solution.request.system)
+        result.append(Estimate(name, value, low, high, sd, unit, 0.0, (-np.inf, np.inf)))
     return tuple(result)
 
 

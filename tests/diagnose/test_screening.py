@@ -10,7 +10,7 @@ from deepkoco.diagnose.baseline import baseline_from, refit
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.evidence.footholds import from_halves
 from deepkoco.diagnose.evidence.priors import prior_with
-from deepkoco.diagnose.evidence.screening import StartPoint, screen
+from deepkoco.diagnose.evidence.screening import Curvature, StartPoint, screen
 from deepkoco.fit import Fit, FitProblem, Trial, cut_windows, moving
 from deepkoco.systems import make_system
 from tests.oracle.hysteresis import hysteresis_log
@@ -104,3 +104,18 @@ def test_a_fit_is_stuck_after_steps_that_lower_no_cost(history, converged, stuck
     empty = torch.zeros(0)
     fit = Fit("", (), {}, none, none, empty, empty, 4.0, 0.0, empty, history=history, converged=converged)
     assert fit.stuck == stuck
+
+
+def test_what_rounding_leaves_of_a_curvature_takes_no_more_out_of_a_dose_than_is_in_it():
+    """The difference of two parameters has a curvature of 1e-12 of that of their sum, where rounding left 1e-13."""
+    matrix = torch.tensor([[1.0, 1.0 - 1e-13], [1.0 - 1e-13, 1.0]], dtype=torch.float64)
+    dose = torch.tensor([[1.0 + 1e-6, 1.0 - 1e-6]], dtype=torch.float64)
+    right = torch.zeros(2, dtype=torch.float64)
+    gram, pull = torch.tensor([[4.0]], dtype=torch.float64), torch.tensor([2.0], dtype=torch.float64)
+    # The sum takes 1 out of 4; the difference would take 2 * (1e-6)^2 / 1e-13 = 20 more.
+    left, rest = Curvature(matrix, right).without(gram, dose, pull)
+    assert float(left) == pytest.approx(3.0, abs=0.05)
+    assert float(rest) == 2.0
+    # A curvature that is known well is inverted as it is.
+    left, _ = Curvature(2.0 * torch.eye(2, dtype=torch.float64), right).without(gram, dose, pull)
+    assert float(left) == pytest.approx(3.0)

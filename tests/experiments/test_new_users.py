@@ -3,17 +3,18 @@
 import pytest
 
 from deepkoco.systems import load_system
-from experiments.studies.diagnosis.new_users.__main__ import ALL, ROBOTS, judged
+from experiments.studies.diagnosis.new_users.__main__ import ALL, ROBOTS, ROBOTS_OF, judged
 from experiments.studies.diagnosis.new_users.cases import CASES, Case
-from experiments.studies.diagnosis.new_users.workshop import ROBOT_OF, WORKSHOP, write_workshop_case
+from experiments.studies.diagnosis.new_users.machines import MACHINES
+from experiments.studies.diagnosis.new_users.workshop import WORKSHOP, write_workshop_case
 
 
 def test_every_case_has_a_name_of_its_own_and_a_description():
-    assert len(ALL) == len(CASES) + len(WORKSHOP)
-    assert all((ROBOTS / robot.system).is_file() for robot in ROBOT_OF.values())
+    assert len(ALL) == len(CASES) + len(WORKSHOP) + len(MACHINES)
+    assert all((ROBOTS / robot.system).is_file() for robot in ROBOTS_OF.values())
 
 
-@pytest.mark.parametrize("system", sorted({robot.system for robot in ROBOT_OF.values()}))
+@pytest.mark.parametrize("system", sorted({robot.system for robot in ROBOTS_OF.values()}))
 def test_descriptions_declare_what_the_units_have(system):
     assert load_system(ROBOTS / system).parameters
 

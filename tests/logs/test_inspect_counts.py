@@ -114,11 +114,9 @@ def test_a_goal_without_a_unit_has_the_one_in_which_the_equations_hold(tmp_path)
     assert {c.channel.name: c.unit for c in proposal.choices} == {"goal": "deg", "angle": "deg"}
 
 
-@pytest.mark.parametrize(("zero", "understood"), [(0, True), (512, False)])
-def test_steps_of_a_goal_are_no_turns_and_its_ticks_those_with_which_the_equations_hold(
-    tmp_path, zero, understood
-):
-    """1024 numbers over 300 deg; around a zero that the equations do not know, no reading fits."""
+@pytest.mark.parametrize("zero", [0, 512])
+def test_steps_of_a_goal_are_no_turns_and_its_ticks_those_with_which_the_equations_hold(tmp_path, zero):
+    """1024 numbers over 300 deg; the angle 0 is the first of them, or that in the middle."""
     goal = np.repeat(np.random.default_rng(0).integers(0, 1024 if zero else 512, 100), 40)
     tick = np.radians(300.0) / 1024
     angle = angle_after(tick * (goal - zero), 0.01)
@@ -127,6 +125,7 @@ def test_steps_of_a_goal_are_no_turns_and_its_ticks_those_with_which_the_equatio
     survey = survey_log(open_log(tmp_path / "log.csv"))
     proposal = propose(survey, Servo()).proposal
     soll = next(c for c in proposal.choices if c.channel.name == "goal")
-    assert soll.scale == (pytest.approx(tick, rel=0.01) if understood else 1.0)
+    assert soll.scale == pytest.approx(tick, rel=0.01)
+    assert soll.offset == pytest.approx(-tick * zero, rel=0.01)
     assert any('"soll"' in doubt for doubt in doubts_of(survey, proposal))
     assert not any("begins again" in reason for reason in soll.reasons)

@@ -237,6 +237,26 @@ def test_a_command_far_above_its_limit_has_the_unit_that_brings_it_below_or_is_a
     assert any('"goal"' in d and asked in d for d in doubts)
 
 
+def test_a_command_in_the_steps_of_a_driver_is_asked_for_its_scale(tmp_path):
+    """A mere number has no smaller unit than per cent; 16 bits are the full scale of many drivers."""
+    frame = {"t": T, "tilt": 0.4 * np.roll(FAST, 5), "motor_cmd": np.round(32767 * FAST / np.abs(FAST).max())}
+    pd.DataFrame(frame).to_csv(tmp_path / "log.csv", index=False)
+    drive = {
+        "units": ("rad",),
+        "names": ("tilt",),
+        "shown": ("tilt",),
+        "driven": (0,),
+        "commands": (("drive", "1"),),
+    }
+    survey = survey_log(open_log(tmp_path / "log.csv"))
+    system = channels(drive)
+    doubts = doubts_of(survey, propose(survey, system).proposal)
+    limit = system.commands[0].high
+    (doubt,) = [d for d in doubts if "times the limit" in d]
+    assert "check its unit (%)" in doubt
+    assert f"{limit / 32767:.6g} makes its largest value the limit" in doubt
+
+
 class WheelPendulum(System):
     """A pendulum with a reaction wheel, of which the speed is measured and not the angle."""
 
@@ -367,3 +387,31 @@ def test_a_log_without_the_command_that_a_system_needs_is_still_refused(tmp_path
     pd.DataFrame({"t": T, "motor_angle": FAST, "load_angle": SLOW}).to_csv(tmp_path / "log.csv", index=False)
     with pytest.raises(NoProposalError, match="no column fits the channel current"):
         propose(survey_log(open_log(tmp_path / "log.csv")), channels(DRIVE))
+
+
+class Conveyor(System):
+    """A belt whose inverter follows goals of its speed; the drum's speed is declared as that of the belt."""
+
+    joint_names, joint_units = ("belt",), ("m",)
+    parameters = (Parameter("control", 5.0, "1/s", 0.1, 50.0, 0.5, "speed controller per mass"),)
+    commands = (Channel("goal", "m/s", "command", -2.0, 2.0),)
+    measurements = (
+        Channel("way", "m", "measurement", noise_sd=2e-4),
+        Channel("drum", "m/s", "measurement", noise_sd=2e-3),
+    )
+
+    def accelerations(self, p):
+        return lambda s: (p["control"] * (s.efforts[0] - s.speeds[0]) + s.load(0),)
+
+
+def test_the_goal_of_a_speed_is_no_measured_speed_although_the_position_follows_it(tmp_path):
+    goal = np.repeat(np.random.default_rng(0).uniform(-0.6, 0.6, len(T) // 40), 40)
+    speed, way = np.zeros(len(goal)), np.zeros(len(goal))
+    for k in range(1, len(goal)):
+        speed[k] = speed[k - 1] + 0.05 * (goal[k - 1] - speed[k - 1])
+        way[k] = way[k - 1] + 0.01 * speed[k - 1]
+    frame = {"time_s": 0.01 * np.arange(len(goal)), "v_set_mm/s": 1e3 * goal, "belt_mm": 1e3 * way}
+    pd.DataFrame(frame).to_csv(tmp_path / "log.csv", index=False)
+    proposal = propose(survey_log(open_log(tmp_path / "log.csv")), Conveyor()).proposal
+    found = {c.channel.name: None if c.column is None else c.column.name for c in proposal.choices}
+    assert found == {"way": "belt_mm", "drum": None, "goal": "v_set_mm/s"}

@@ -1,4 +1,4 @@
-"""Unknown zeros of angle sensors, one set per log."""
+"""Unknown zeros of sensors, one set per log."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from deepkoco.systems import System
 
 @dataclass(frozen=True)
 class EncoderZeros:
-    """One unknown zero for each log and each angle channel with an unknown zero.
+    """One unknown zero for each log and each channel with an unknown zero: of an encoder, a gyro, a draw wire.
 
     A vector of zeros contains those of the first such channel, one per log, then those of the next channel.
 
     Attributes:
         channels: Indices of the channels.
-        sd: Standard deviation of each channel's zeros around 0 [rad].
+        sd: Standard deviation of each channel's zeros around 0, in its unit.
         logs: Number of logs.
     """
 
@@ -29,8 +29,8 @@ class EncoderZeros:
 
     @staticmethod
     def of(system: System, logs: int, sd: float | None = None) -> EncoderZeros:
-        """Zeros that a system declares; ``sd`` [rad] replaces its standard deviations, 0 means known zeros."""
-        spread = [(c.zero_sd if sd is None else sd) if c.angle else 0.0 for c in system.measurements]
+        """Zeros that a system declares; ``sd`` [rad] replaces those of angles, and 0 means known zeros of them."""
+        spread = [sd if sd is not None and c.angle else c.zero_sd for c in system.measurements]
         channels = tuple(c for c, s in enumerate(spread) if s > 0.0)
         return EncoderZeros(channels, tuple(spread[c] for c in channels), logs)
 
@@ -41,12 +41,12 @@ class EncoderZeros:
 
     @property
     def spread(self) -> np.ndarray:
-        """(count,) prior standard deviations [rad]."""
+        """(count,) prior standard deviations, in the units of the channels."""
         return np.repeat(np.array(self.sd), self.logs)
 
     @property
     def precision(self) -> Tensor:
-        """(count,) prior precisions [1/rad^2]."""
+        """(count,) prior precisions."""
         return torch.from_numpy(1.0 / self.spread**2)
 
     def none(self) -> Tensor:
@@ -66,6 +66,10 @@ class EncoderZeros:
             part = result[k * self.logs : (k + 1) * self.logs]
             part[:, :, channel] = weight[:, channel] * of_log[..., None]
         return result
+
+    def unit(self, index: int, system: System) -> str:
+        """Unit of one element of a vector of zeros."""
+        return system.measurements[self.channels[index // self.logs]].unit
 
     def name(self, index: int, system: System) -> str:
         """Name of one element of a vector of zeros, for reports."""

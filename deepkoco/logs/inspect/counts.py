@@ -16,8 +16,9 @@ PER_TURN = (
     4800, 9600, 36000,
 )  # fmt: skip
 """Counts per turn of usual encoders, after the four edges of each line, and of usual servos."""
-ARCS = (1229,)
-"""Counts that a turn would have on servos that number an arc: 1024 over 300 deg. They never begin again."""
+ARCS = {1229: 1024}
+"""Counts that a turn would have on servos that number an arc, and those of the arc: 1024 over 300 deg. They never begin
+again."""
 WRAPS = 0.8  # of a turn that a jump covers
 NEARLY = 0.9  # share of a turn that a position which wraps visits
 
@@ -28,15 +29,22 @@ class Counts(NamedTuple):
     Attributes:
         per_turn: Counts of a turn.
         wraps: Whether the numbers begin again after a turn.
+        zero: Count at the angle 0: the middle of the numbers for servos that go both ways and send no sign.
     """
 
     per_turn: int
     wraps: bool
+    zero: int = 0
 
     @property
     def scale(self) -> float:
         """Angle of one count [rad]."""
         return 2.0 * math.pi / self.per_turn
+
+    @property
+    def offset(self) -> float:
+        """Angle at the number 0 [rad]."""
+        return -self.scale * self.zero
 
 
 def in_counts(choice: Choice, samples: Samples, least: int = MANY) -> bool:
@@ -45,6 +53,12 @@ def in_counts(choice: Choice, samples: Samples, least: int = MANY) -> bool:
         return False
     _, value = samples
     return bool(np.all(value == np.round(value))) and len(np.unique(value)) > least
+
+
+def signless(largest: float) -> list[Counts]:
+    """Readings of numbers up to a largest one, none below 0, whose middle is the angle 0."""
+    whole = {**{n: n for n in PER_TURN}, **ARCS}
+    return [Counts(n, False, numbers // 2) for n, numbers in sorted(whole.items()) if numbers > largest]
 
 
 def turn_of(value: np.ndarray) -> Counts | None:

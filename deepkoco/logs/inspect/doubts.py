@@ -10,10 +10,10 @@ import pandas as pd
 from deepkoco.logs.checks.derivative import slip
 from deepkoco.logs.inspect.choice import Choice, Proposal
 from deepkoco.logs.inspect.clock import Clock
-from deepkoco.logs.inspect.evidence import AGREES, POSITIONS, SPEEDS
+from deepkoco.logs.inspect.evidence import AGREES
 from deepkoco.logs.inspect.survey import ColumnSurvey, Survey
 from deepkoco.logs.runs import MARK
-from deepkoco.logs.units import factor_between, parse_unit
+from deepkoco.logs.units import factor_between, known_units, parse_unit
 
 FEW_TEXTS = 0.2  # share of cells below which text in a column is a mistake
 MANY_LETTERS = 40  # of a cell that is shown
@@ -153,23 +153,40 @@ def _units(survey: Survey, proposal: Proposal) -> list[str]:
         if choice.channel.kind == "command" and math.isfinite(limit) and top > 0:
             if top > 20.0 * limit:
                 result.append(
-                    f'"{choice.column.name}" reaches {top:.3g} {si}, {top / limit:.0f} times the limit '
-                    f"of {proposal.system} ({limit:g} {si}); check its unit ({_smaller(si, top, limit)})"
+                    f'"{choice.column.name}" reaches {_amount(top, si)}, {top / limit:.0f} times the limit of '
+                    f"{proposal.system} ({_amount(limit, si)}); check its unit ({_smaller(si, top, limit)})"
+                    + _steps(survey, choice, top, limit)
                 )
             elif top < limit / 200.0:
                 result.append(
-                    f'"{choice.column.name}" reaches only {top:.3g} {si} of the limit {limit:g} {si} of '
+                    f'"{choice.column.name}" reaches only {_amount(top, si)} of the limit {_amount(limit, si)} of '
                     f"{proposal.system}; check its unit, or give the ratio of a gear (key scale)"
                 )
     return result
 
 
+def _amount(value: float, si: str) -> str:
+    """Return a value with its unit; a mere number has none."""
+    return f"{value:.3g}" if si == "1" else f"{value:.3g} {si}"
+
+
 def _smaller(si: str, top: float, limit: float) -> str:
     """Units in which a command that is far above its limit in SI would be near it, the nearest first."""
-    alike = next((units for units in (*POSITIONS.values(), *SPEEDS.values()) if si in units), (f"m{si}", "%"))
-    sizes = {u: top * (0.01 if u == "%" else factor_between(u, si)) / limit for u in alike if u != si}
+    alike = (u for u in known_units(parse_unit(si).quantity) if factor_between(u, si) < 1.0)
+    sizes = {u: top * factor_between(u, si) / limit for u in alike}
     near = [u for u in sorted(sizes, key=lambda u: -sizes[u]) if sizes[u] <= ROOM]
     return ", ".join(near) or ", ".join(sizes)
+
+
+def _steps(survey: Survey, choice: Choice, top: float, limit: float) -> str:
+    """Advice for a command in whole numbers, such as those of a driver of 16 bits."""
+    if choice.stated or choice.column is None:
+        return ""
+    _, value = survey.samples(choice.column)
+    if not np.all(value == np.round(value)):
+        return ""
+    each = f"if these are the steps of a driver, write as scale how many {choice.channel.unit} one of them is"
+    return f"; {each}: {abs(choice.scale) * limit / top:.6g} makes its largest value the limit"
 
 
 def _counts(survey: Survey, choice: Choice) -> bool:

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from deepkoco.logs.inspect.choice import Choice, Proposal
-from deepkoco.logs.inspect.counts import ARCS, PER_TURN, Counts, in_counts, turn_of
+from deepkoco.logs.inspect.counts import ARCS, PER_TURN, Counts, in_counts, signless, turn_of
 from deepkoco.logs.inspect.evidence import Samples
 from deepkoco.logs.units import factor_between, parse_unit
 from deepkoco.systems import Motion, System
@@ -40,7 +40,10 @@ class Reading(NamedTuple):
         return 1.0 if self.counts is None else self.counts.scale
 
     def __str__(self) -> str:
-        return self.unit if self.counts is None else f"counts, {self.counts.per_turn} of them a turn"
+        if self.counts is None:
+            return self.unit
+        zero = f" with zero at {self.counts.zero}" if self.counts.zero else ""
+        return f"counts, {self.counts.per_turn} of them a turn{zero}"
 
 
 def with_likely_units(system: System, proposal: Proposal, samples: Mapping[str, Samples]) -> Proposal:
@@ -85,9 +88,13 @@ def _read(choice: Choice, reading: Reading, alike: Sequence[Reading]) -> Choice:
         why = f"it begins again after {counts.per_turn}: ticks of a turn"
     else:
         why = f"the equations fit it in {reading} and not in {choice.unit}"
-        others = [str(r.counts.per_turn) for r in alike if r.counts is not None and r != reading]
+        turns = {r.counts.per_turn for r in alike if r.counts is not None and r.counts != counts}
+        others = [str(n) for n in sorted(turns - {counts.per_turn if counts is not None else 0})]
         why += f"; {' or '.join(others)} would fit about as well" if others else ""
-    return replace(choice, unit=reading.unit, scale=reading.scale, reasons=(*choice.reasons, why))
+    offset = choice.offset if counts is None else counts.offset
+    return replace(
+        choice, unit=reading.unit, scale=reading.scale, offset=offset, reasons=(*choice.reasons, why)
+    )
 
 
 def _readings(group: Sequence[Choice], samples: Mapping[str, Samples]) -> list[Reading]:
@@ -103,6 +110,9 @@ def _readings(group: Sequence[Choice], samples: Mapping[str, Samples]) -> list[R
         if turn is not None:
             return [Reading("rad", turn)]
         units += [Reading("rad", Counts(n, False)) for n in sorted({*PER_TURN, *ARCS})]
+        values = np.concatenate([samples[c.column.label][1] for c in group if c.column is not None])
+        if values.min() >= 0.0:
+            units += [Reading("rad", counts) for counts in signless(float(values.max()))]
     return [Reading(first.unit), *units]
 
 
@@ -163,12 +173,16 @@ def _best_readings(
     if len(list(product(*tried))) == 1:
         return proposed, none
     for readings in product(*tried):
+        # Servos that send no sign are of one make. Each reading of each beside all of the others would take minutes.
+        counted = {r.counts for r in readings if r.counts is not None}
+        if len(counted) > 1 and any(c.zero for c in counted):
+            continue
         taken = {c.channel.name: r for group, r in zip(groups, readings, strict=True) for c in group}
         # Linear equations hold in any unit that goals and positions share: the limits of the commands then decide.
         beyond = any(_beyond(c, taken, samples) for c in drives)
         misfit = math.inf if beyond else _misfit(system, positions, taken, drives, samples)
-        counted = any(r.counts is not None and not r.counts.wraps for r in readings)
-        found[readings] = math.inf if counted and misfit > FITS else misfit
+        unsure = any(not c.wraps for c in counted)
+        found[readings] = math.inf if unsure and misfit > FITS else misfit
     best = min(found, key=lambda readings: found[readings])
     if not found[best] < LESS * found[proposed]:
         return proposed, none
@@ -224,9 +238,12 @@ def _misfit(
 
 def _in_si(choice: Choice, taken: Mapping[str, Reading], value: np.ndarray) -> np.ndarray:
     reading = taken.get(choice.channel.name, Reading(choice.unit))
-    si = value * (choice.scale if reading.counts is None else reading.scale)
-    si = (si + choice.offset) * factor_between(reading.unit, choice.channel.unit)
-    return np.unwrap(si) if reading.counts is not None and reading.counts.wraps else si
+    counts = reading.counts
+    si = value * (choice.scale if counts is None else counts.scale)
+    si = (si + (choice.offset if counts is None else counts.offset)) * factor_between(
+        reading.unit, choice.channel.unit
+    )
+    return np.unwrap(si) if counts is not None and counts.wraps else si
 
 
 def _held(

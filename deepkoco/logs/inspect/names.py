@@ -77,6 +77,7 @@ WANTED = (
     "target",
     "goal",
     "setpoint",
+    "set",
     "soll",
     "sollwert",
     "sp",

@@ -41,12 +41,14 @@ class Proposer:
         self.columns = [c for c in survey.columns if c.usable and len(samples[c.label][0]) > 1]
         self.relations = derivatives(self.columns, samples)
         self._driven: dict[tuple[str, str | None, str], dict[str, float]] = {}
+        self._for_commands: set[str] = set()  # labels of columns that the commands of a system need
 
     def propose(self, system: System) -> Proposal:
         """Propose a mapping for a system."""
         taken: set[str] = set()
         choices: list[Choice] = []
         score, time = 0.0, "s"
+        self._for_commands = self._needed(system)
         for number, (position, rate, commands) in enumerate(joint_groups(system)):
             pair, units, gained = self._pair(position, rate, number, system, taken)
             score += gained
@@ -62,6 +64,24 @@ class Proposer:
         order = {c.name: k for k, c in enumerate((*system.measurements, *system.commands))}
         choices.sort(key=lambda choice: order[choice.channel.name])
         return Proposal(system.name, tuple(choices), time, score, self.relations)
+
+    def _needed(self, system: System) -> set[str]:
+        """Labels of columns that no measurement may have: as many goals as there are commands of their quantity.
+
+        The goal of a speed that is followed well is the derivative of the position nearly as much as the speed is.
+        """
+        asked = [parse_unit(c.unit).quantity for c in system.commands if c.default is None]
+        goals: dict[str, list[str]] = {quantity: [] for quantity in asked}
+        for column in self.columns:
+            unit = column.hints.unit
+            if unit is not None and is_commanded(column) and parse_unit(unit).quantity in goals:
+                goals[parse_unit(unit).quantity].append(column.label)
+        return {
+            label
+            for quantity, labels in goals.items()
+            if len(labels) <= asked.count(quantity)
+            for label in labels
+        }
 
     def _pair(
         self, position: Channel | None, rate: Channel | None, joint: int, system: System, taken: set[str]
@@ -160,7 +180,8 @@ class Proposer:
             return [(None, 0.0, [])]
         rows = []
         for column in self.columns:
-            if column.label not in taken:
+            reserved = channel.kind == "measurement" and column.label in self._for_commands
+            if column.label not in taken and not reserved:
                 said, why = self._name_evidence(column, channel, joint, system)
                 rows.append((column, said, why))
         rows = [

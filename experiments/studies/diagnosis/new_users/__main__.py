@@ -22,13 +22,15 @@ import yaml
 
 from experiments.studies.diagnosis.new_users.cases import CASES, SYSTEM, Case
 from experiments.studies.diagnosis.new_users.logs import write_case
-from experiments.studies.diagnosis.new_users.workshop import ROBOT_OF, WORKSHOP, write_workshop_case
+from experiments.studies.diagnosis.new_users.machines import MACHINE_OF
+from experiments.studies.diagnosis.new_users.workshop import ROBOT_OF, write_robot_case
 from experiments.studies.diagnosis.rows import children_seconds, read_rows, write_rows
 
 ROBOTS = Path(__file__).parent / "robots"
 COLUMNS = ("case", "right", "verdict", "causes", "class", "value", "truth", "moved", "cpu_s", "note")
 LIMIT = 1800.0  # seconds after which a case is given up
-ALL = CASES | WORKSHOP
+ROBOTS_OF = ROBOT_OF | MACHINE_OF
+ALL = CASES | {name: robot.cases[name] for name, robot in ROBOTS_OF.items()}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -48,8 +50,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             continue
         folder = args.out / "logs" / name
         folder.mkdir(parents=True, exist_ok=True)
-        write = write_workshop_case if name in WORKSHOP else write_case
-        rows.append(run_case(name, write(name, folder, args.seed), args.out / "reports" / name))
+        if name in ROBOTS_OF:
+            log = write_robot_case(ROBOTS_OF[name], name, folder, args.seed)
+        else:
+            log = write_case(name, folder, args.seed)
+        rows.append(run_case(name, log, args.out / "reports" / name))
         write_rows(table, COLUMNS, rows)
         sys.stdout.write(" ".join(f"{key}={rows[-1][key]}" for key in COLUMNS) + "\n")
         sys.stdout.flush()
@@ -67,7 +72,7 @@ def run_case(name: str, log: Path, report: Path) -> dict[str, Any]:
         report: Folder that the report goes to.
     """
     case, began = ALL[name], children_seconds()
-    described = ROBOT_OF[name].system if name in WORKSHOP else case.system or SYSTEM[case.robot]
+    described = ROBOTS_OF[name].system if name in ROBOTS_OF else case.system or SYSTEM[case.robot]
     robot, _, kind = described.partition(":")
     system = f"{ROBOTS / robot}{':' if kind else ''}{kind}"
     # One sidecar for all logs of the folder.
@@ -75,8 +80,8 @@ def run_case(name: str, log: Path, report: Path) -> dict[str, Any]:
     sidecar.unlink(missing_ok=True)
     # A log may be a folder of two files; it is inspected alone.
     said = _called("inspect", log if log.is_dir() else log.parent, "--system", system, "--out", sidecar)
-    if name in WORKSHOP and sidecar.is_file():
-        _correct(sidecar, ROBOT_OF[name].corrected)
+    if name in ROBOTS_OF and sidecar.is_file():
+        _correct(sidecar, ROBOTS_OF[name].corrected)
     healthy = sorted(log.parent.glob("healthy*"))
     report.parent.mkdir(exist_ok=True)
     command = [log, "--system", system, "--map", sidecar, *(["--healthy", *healthy] if healthy else [])]
@@ -87,11 +92,11 @@ def run_case(name: str, log: Path, report: Path) -> dict[str, Any]:
     return row | judged(case, answer) | {"cpu_s": round(children_seconds() - began, 1)}
 
 
-def _correct(sidecar: Path, corrected: Mapping[str, Mapping[str, float]]) -> None:
-    """Change keys of channels in a sidecar."""
+def _correct(sidecar: Path, corrected: Mapping[str, Mapping[str, Any]]) -> None:
+    """Change keys of channels in a sidecar, and add channels that it lacks."""
     content = yaml.safe_load(sidecar.read_text(encoding="utf-8"))
     for channel, keys in corrected.items():
-        content["channels"][channel].update(keys)
+        content["channels"].setdefault(channel, {}).update(keys)
     sidecar.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
 
 

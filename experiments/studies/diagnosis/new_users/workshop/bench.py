@@ -38,7 +38,7 @@ class Robot:
     write: Write
     cases: dict[str, Case] = field(default_factory=dict)
     suffix: str = ".csv"
-    corrected: dict[str, dict[str, float]] = field(default_factory=dict)
+    corrected: dict[str, dict[str, Any]] = field(default_factory=dict)
 
 
 def looped(

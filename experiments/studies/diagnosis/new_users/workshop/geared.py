@@ -55,7 +55,11 @@ ROBOT = Robot(
         "geared_cogging": Case("geared", {"cogging": 0.008}, ("cogging",), 0.008),
         "geared_battery": Case("geared", {"supply": 9.6}, ("changed(supply)", "gain"), 9.6),
         "geared_dead": Case("geared", {"dead": 0.06}, ("dead_zone",), 0.06),
-        "geared_backward": Case("geared", {"backward": 0.004}, ("asymmetric_friction", "coulomb", "friction"), None),
+        # More friction backward is dry friction of the mean and a constant load of half the difference: the same thing
+        # wherever the motor turns.
+        "geared_backward": Case(
+            "geared", {"backward": 0.004}, ("asymmetric_friction", "coulomb", "friction", "torque_bias"), None
+        ),
         "geared_delay_h3": Case("geared", {"delay": 0.004}, ("actuation_delay",), 0.004, healthy=3, spread=0.01),
     },
     suffix=".txt",

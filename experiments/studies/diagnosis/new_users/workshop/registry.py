@@ -41,14 +41,20 @@ WORKSHOP: dict[str, Case] = {name: robot.cases[name] for name, robot in ROBOT_OF
 
 
 def write_workshop_case(name: str, folder: Path, seed: int = 0) -> Path:
+    """Write the log of a case of this folder; see :func:`write_robot_case`."""
+    return write_robot_case(ROBOT_OF[name], name, folder, seed)
+
+
+def write_robot_case(robot: Robot, name: str, folder: Path, seed: int = 0) -> Path:
     """Write the log of a case and its healthy logs into a folder, and return the former.
 
     Args:
-        name: Name of the case.
+        robot: The robot.
+        name: Name of its case.
         folder: Folder, which exists.
         seed: Added to the case's own seed; other units, commands and noise.
     """
-    robot, case = ROBOT_OF[name], WORKSHOP[name]
+    case = robot.cases[name]
     rng = np.random.default_rng(7 * sum(map(ord, name)) + len(name) + 100003 * seed)
     unit = {
         n: max(v + OFF * robot.spread[n] * rng.standard_normal(), LEAST * v) for n, v in robot.nominal.items()
