@@ -45,7 +45,7 @@ def crossed(
         accepted: Causes that are part of every fit.
         ranking: The ranking.
     """
-    leaders, front = _in_front(ranking)
+    leaders, front = in_front(ranking)
     trials = [
         trial_of(problem, start, accepted, other.cause, values, leader.fit.state, ranking.reference)
         for other in front
@@ -75,7 +75,7 @@ def better_reference(
         accepted: Causes that are part of every fit.
         ranking: The ranking.
     """
-    leaders, _ = _in_front(ranking)
+    leaders, _ = in_front(ranking)
     reference, trials = ranking.reference, []
     for leader in leaders:
         values = {**leader.fit.values, **{n: start.values[n] for n in leader.cause.free}}
@@ -95,7 +95,8 @@ def at_another_place(ranking: Ranking, reference: Fit) -> bool:
     return ranking.reference.cost - reference.cost > ELSEWHERE * ranking.best.likelihood_ratio
 
 
-def _in_front(ranking: Ranking) -> tuple[list[Candidate], list[Candidate]]:
+def in_front(ranking: Ranking) -> tuple[list[Candidate], list[Candidate]]:
+    """Return the candidates whose optimum is a start, and those that start there."""
     fitted = [c for c in ranking.candidates if c.cause.free and c.fit is not ranking.reference]
     least = ranking.best.delta_bic - CLOSE_BEHIND * abs(ranking.best.delta_bic)
     close = [c for c in fitted if c.delta_bic >= least]

@@ -14,6 +14,7 @@ from deepkoco.diagnose.evidence.candidate_fits import fit_best
 from deepkoco.diagnose.evidence.crossed import at_another_place, better_reference, crossed, leaves_more
 from deepkoco.diagnose.evidence.curved_valley import cheapest_in_valley
 from deepkoco.diagnose.evidence.event_windows import MIN_OTHER_WINDOWS, touched
+from deepkoco.diagnose.evidence.exchanged_states import hides_a_position, with_exchanged_states
 from deepkoco.diagnose.evidence.flexible import FLEXIBLE_CAUSES
 from deepkoco.diagnose.evidence.footholds import ALONE, CLOSE, ITERATIONS, alone, from_halves, trial_of
 from deepkoco.diagnose.evidence.priors import prior_with, strained
@@ -196,6 +197,11 @@ def rank(
         near = CLOSE * ranking.dispersion.correlation
         fits |= dict(zip(unsettled, problem.fit(longer, PATIENCE, near), strict=True))
         ranking = _ranked(problem, start, reference, tried, fits, promised)
+    if not many and start.tempering == 1.0 and hides_a_position(problem.windows):
+        better, found = with_exchanged_states(problem, start, accepted, ranking)
+        won, reference = reference.cost - better.cost, better
+        promised = {name: max(p - won, 0.0) for name, p in promised.items()}
+        ranking = _ranked(problem, start, reference, tried, fits := fits | found, promised)
     if cross and not many and start.tempering == 1.0 and leaves_more(problem, start, ranking):
         better = better_reference(problem, start, accepted, ranking)
         if better is not None and at_another_place(ranking, better):
