@@ -51,8 +51,8 @@ def _system_of(path: Path, args: argparse.Namespace) -> System:
         InputError: It names none, or an unknown one.
         LogError: The log cannot be read.
     """
+    from deepkoco.logs.read_logs import read_runs
     from deepkoco.logs.recording import read_log
-    from deepkoco.logs.runs import read_runs
     from deepkoco.systems import UnknownSystemError, load_system, system_names
 
     said = read_runs(path, lambda run: read_log(run, args.map, fill=args.fill))[0].system

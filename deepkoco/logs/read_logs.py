@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from deepkoco.logs.formats.log_file import LogError, TooLittleError
 from deepkoco.logs.formats.recordings import recordings
+from deepkoco.logs.part import split_part
 from deepkoco.logs.recording import Recording, read_log
-from deepkoco.logs.runs import read_runs
+from deepkoco.logs.runs import MARK, RestartError
 
 if TYPE_CHECKING:
     from deepkoco.systems import System
@@ -68,3 +71,47 @@ def read_logs(
             for path in recordings([log], episodes):
                 result += read_runs(path, read, episodes)
     return result
+
+
+def read_runs(
+    path: Path, read: Callable[[Path], Recording], episodes: Collection[int] | None = None
+) -> list[Recording]:
+    """Read a log, or each run of a log whose clock begins again.
+
+    Args:
+        path: The log.
+        read: Reads a log, or a run of one.
+        episodes: Numbers of the runs to read; None takes all that are long enough. A log of one run is read in any
+            case.
+
+    Returns:
+        The recordings. The first one warns of runs that are left out: too short, or with a command that never changes.
+
+    Raises:
+        LogError: The log cannot be read, it has no such run, or none of its runs is long enough.
+    """
+    try:
+        return [read(path)]
+    except RestartError as error:
+        if split_part(path)[1] is not None:
+            raise
+        runs = error.runs
+    missing = [number for number in episodes or () if number >= runs]
+    if missing:
+        raise LogError(f"{path}: has no run {missing[0]}; it has {runs} runs, 0 to {runs - 1}")
+    found: list[Recording] = []
+    short: dict[int, TooLittleError] = {}
+    for number in range(runs) if episodes is None else episodes:
+        try:
+            found.append(read(path.with_name(f"{path.name}{MARK}{number}")))
+        except TooLittleError as error:
+            if episodes is not None:
+                raise
+            short[number] = error
+    if not found and short:
+        raise next(iter(short.values()))
+    if short:
+        names = ", ".join(f"{path.name}{MARK}{k}" for k in short)
+        note = f"left out because they are too short, or because their command never changes: {names}"
+        found[0] = replace(found[0], warnings=(*found[0].warnings, note))
+    return found
