@@ -197,9 +197,7 @@ def flights_of(
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Identify, train, fly and write the result as JSON; returns the exit status."""
-    parser = argparse.ArgumentParser(
-        description="Train policies for a hidden quadrotor and fly them."
-    )
+    parser = argparse.ArgumentParser(description="Train policies for a hidden quadrotor and fly them.")
     parser.add_argument("kind", choices=["unit"])
     parser.add_argument("seed", type=int)
     parser.add_argument("out", type=Path, help="new file")
