@@ -10,8 +10,10 @@ import math
 import numpy as np
 from numba import njit
 
+from deepkoco.systems.uncounted import UNCOUNTED
 
-@njit(error_model="numpy", nogil=True, _nrt=False)
+
+@njit(**UNCOUNTED)
 def rub_element(
     before, load, slide, stick, inverse, rubbing, mean, step, sweeps, close, speed, moved, hold, n
 ):

@@ -6,11 +6,13 @@ import math
 
 from numba import njit
 
+from deepkoco.systems.sines import FARTHEST, near_sine_and_cosine
 from deepkoco.systems.trees.block_sizes import LANES, in_lanes, in_rows
 from deepkoco.systems.trees.learned_kernel import add_term
+from deepkoco.systems.uncounted import UNCOUNTED
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "34643cbcb45bbd96"
+COMPILED_WITH = "9ef697abfee17083"
 
 # Loads of effects that the loop knows; those from STRIBECK to before LEARNED are levels of dry friction. From LEARNED
 # on, each is a term of a learned load.
@@ -19,13 +21,13 @@ STRIBECK, LOAD_FRICTION, LEARNED = range(8, 11)
 MOST_VALUES = 5  # of an effect
 
 
-@njit(error_model="numpy", nogil=True, _nrt=False)
+@njit(**UNCOUNTED)
 def is_level(kind):
     """Whether an effect is a level of dry friction."""
     return STRIBECK <= kind < LEARNED
 
 
-@njit(error_model="numpy", nogil=True, _nrt=False)
+@njit(**UNCOUNTED)
 def deliver(drives, gear, law, angle, speed, effort, forces):
     """Forces (M, LANES) of the actuators on their joints."""
     law, forces, angle, speed = in_rows(law, 8), in_lanes(forces), in_lanes(angle), in_lanes(speed)
@@ -42,7 +44,7 @@ def deliver(drives, gear, law, angle, speed, effort, forces):
             forces[a, i] = ratio * force
 
 
-@njit(error_model="numpy", nogil=True, _nrt=False)
+@njit(**UNCOUNTED)
 def add_levels(kinds, places, values, drives, forces, speed, level):
     """Add the levels of dry friction that depend on the motion to ``level`` (J, LANES)."""
     for e in range(len(kinds)):
@@ -60,7 +62,7 @@ def add_levels(kinds, places, values, drives, forces, speed, level):
                 level[j, i] += values[e, 0, i] * abs(effort)
 
 
-@njit(error_model="numpy", nogil=True, _nrt=False)
+@njit(**UNCOUNTED)
 def sum_of_forces(drives, joint, forces, effort):
     """Write what all actuators of a joint deliver to ``effort`` (LANES,)."""
     for i in range(LANES):
@@ -71,7 +73,7 @@ def sum_of_forces(drives, joint, forces, effort):
                 effort[i] += forces[a, i]
 
 
-@njit(error_model="numpy", nogil=True, _nrt=False)
+@njit(**UNCOUNTED)
 def add_loads(kinds, places, values, drives, forces, angle, speed, time, effort, load):
     """Add the loads of effects to ``load`` (J, LANES); ``effort`` (LANES,) is overwritten."""
     for e in range(len(kinds)):
@@ -89,10 +91,22 @@ def add_loads(kinds, places, values, drives, forces, angle, speed, time, effort,
             for i in range(LANES):
                 load[j, i] -= values[e, 0, i] * (angle[j, i] - values[e, 1, i])
         elif kind in (COGGING, PERIODIC):
+            far = False
             for i in range(LANES):
-                if values[e, 0, i] != 0.0 or values[e, 1, i] != 0.0:
-                    phase = values[e, 2, i] * (angle[j, i] if kind == COGGING else time[i])
-                    load[j, i] += values[e, 0, i] * math.sin(phase) + values[e, 1, i] * math.cos(phase)
+                acts = values[e, 0, i] != 0.0 or values[e, 1, i] != 0.0
+                phase = values[e, 2, i] * (angle[j, i] if kind == COGGING else time[i])
+                effort[i] = phase if acts else 0.0
+                far |= not abs(effort[i]) < FARTHEST
+            if not far:
+                for i in range(LANES):
+                    sine, cosine = near_sine_and_cosine(effort[i])
+                    load[j, i] += values[e, 0, i] * sine + values[e, 1, i] * cosine
+            else:
+                for i in range(LANES):
+                    sine, cosine = near_sine_and_cosine(effort[i])
+                    if not abs(effort[i]) < FARTHEST:
+                        sine, cosine = math.sin(effort[i]), math.cos(effort[i])
+                    load[j, i] += values[e, 0, i] * sine + values[e, 1, i] * cosine
         elif kind == CROSSTALK:
             for a in range(len(drives)):
                 if drives[a] == places[e, 1]:

@@ -8,6 +8,7 @@ from numba import njit
 
 from deepkoco.systems.effects.learned import PLACES, REACH, SHARP, TERMS
 from deepkoco.systems.trees.block_sizes import LANES
+from deepkoco.systems.uncounted import UNCOUNTED
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
 COMPILED_WITH = "17e781271967e03a"
@@ -22,12 +23,12 @@ COMPILED_WITH = "17e781271967e03a"
 SHARES = tuple(place / 100 for place in PLACES)
 
 
-@njit(error_model="numpy", nogil=True, _nrt=False)
+@njit(**UNCOUNTED)
 def _within(value, reach):
     return min(max(value, -reach), reach)
 
 
-@njit(error_model="numpy", nogil=True, _nrt=False)
+@njit(**UNCOUNTED)
 def _of_motion(term, v, sign, u):
     """Value of a term in speed and effort."""
     if term == CONSTANT:
@@ -55,7 +56,7 @@ def _of_motion(term, v, sign, u):
     return abs(u) * sign
 
 
-@njit(error_model="numpy", nogil=True, _nrt=False)
+@njit(**UNCOUNTED)
 def _of_place(term, place):
     """Value of a spring that begins somewhere; ``place`` is the angle as a share of the range of the data."""
     if term <= BEYOND_2:
@@ -67,7 +68,7 @@ def _of_place(term, place):
     return max(place - begin, 0.0) if number % 2 == 0 else min(place - begin, 0.0)
 
 
-@njit(error_model="numpy", nogil=True, _nrt=False)
+@njit(**UNCOUNTED)
 def _of_angle(term, angle, v, sign, u):
     """Value of a term of a joint that turns."""
     if term == SIN:
@@ -97,7 +98,7 @@ def _of_angle(term, angle, v, sign, u):
     return u * math.cos(angle)
 
 
-@njit(error_model="numpy", nogil=True, _nrt=False)
+@njit(**UNCOUNTED)
 def add_term(term, values, angle, speed, effort, load):
     """Add one term to the load of a joint.
 

@@ -12,7 +12,7 @@ from deepkoco.systems.trees.block_sizes import LANES
 from deepkoco.systems.trees.newton_euler_kernel import COS, INERTIA, LOAD, OFFSET, SIN
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "f32c978d22e99cac"
+COMPILED_WITH = "9cc9501cd162c25c"
 
 
 @njit(inline="always", error_model="numpy")

@@ -6,15 +6,14 @@ Source: the recursions of :mod:`deepkoco.systems.trees.dynamics`; rows and block
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numba import njit
 
+from deepkoco.systems.sines import FARTHEST, near_sine_and_cosine
 from deepkoco.systems.trees.block_sizes import LANES
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "29ced50dd5f2037f"
+COMPILED_WITH = "78416c9fd158b1e1"
 
 # Rows of a joint.
 COS, SIN, OFFSET, SPIN, SWING, PULL, FORCE, TORQUE, INERTIA, LOAD, ROWS = (
@@ -32,16 +31,6 @@ COS, SIN, OFFSET, SPIN, SWING, PULL, FORCE, TORQUE, INERTIA, LOAD, ROWS = (
 )
 
 SPARE = 25  # rows of a second array, through which a joint's quantities pass on their way to its parent
-
-# Range reduction by pi/2 in three parts of 33 bits, and the minimax polynomials of sine and cosine on [-pi/4, pi/4].
-# Source: fdlibm, e_rem_pio2.c, k_sin.c and k_cos.c (Sun Microsystems, 1993).
-TURNS = 2.0 / math.pi
-P1, P2, P3 = 1.57079632673412561417e00, 6.07710050630396597660e-11, 2.02226624871116645580e-21
-FARTHEST = 1e5  # angle beyond which the three parts of pi/2 are too short [rad]
-S1, S2, S3 = -1.66666666666666324348e-01, 8.33333333332248946124e-03, -1.98412698298579493134e-04
-S4, S5, S6 = 2.75573137070700676789e-06, -2.50507602534068634195e-08, 1.58969099521155010221e-10
-C1, C2, C3 = 4.16666666666666019037e-02, -1.38888888888741095749e-03, 2.48015872894767294178e-05
-C4, C5, C6 = -2.75573143513906633035e-07, 2.08757232129817482790e-09, -1.13596475577881948265e-11
 
 
 @njit(inline="always", error_model="numpy")
@@ -61,21 +50,14 @@ def place_frames(s, turns, rotation, offset, reference, angles, first, size):
         for i in range(LANES):
             x = h * (s[k, COS, i] - ref)
             far |= not abs(x) < FARTHEST
-            n = np.floor(x * TURNS + 0.5)
-            r = ((x - n * P1) - n * P2) - n * P3
-            z = r * r
-            sine = r + r * z * (S1 + z * (S2 + z * (S3 + z * (S4 + z * (S5 + z * S6)))))
-            cosine = 1.0 - 0.5 * z + z * z * (C1 + z * (C2 + z * (C3 + z * (C4 + z * (C5 + z * C6)))))
-            # Quadrant 0 to 3, by arithmetic: conditions on integers would not be vector instructions.
-            quadrant = n - 4.0 * np.floor(0.25 * n)
-            half = np.floor(0.5 * quadrant)
-            odd, sign = quadrant - 2.0 * half > 0.5, 1.0 - 2.0 * half
-            s[k, SIN, i] = sign * (cosine if odd else sine)
-            s[k, COS, i] = sign * (-sine if odd else cosine)
+            sine, cosine = near_sine_and_cosine(x)
+            s[k, SIN, i] = sine
+            s[k, COS, i] = cosine
         if far:
             for i in range(size):
                 x = h * (angles[k, first + i] - ref)
-                s[k, COS, i], s[k, SIN, i] = np.cos(x), np.sin(x)
+                if not abs(x) < FARTHEST:
+                    s[k, COS, i], s[k, SIN, i] = np.cos(x), np.sin(x)
 
 
 @njit(inline="always", error_model="numpy")

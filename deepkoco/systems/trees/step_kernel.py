@@ -1,8 +1,5 @@
 """One step of a tree with loads of effects as compiled loops: accelerations, Runge-Kutta, levels of dry friction.
 
-Functions that make no arrays are compiled without the counts of who holds one (``_nrt=False``): each row that is taken
-from an array would raise and lower its count, which takes longer than the work on 32 numbers.
-
 Source: the steps of :mod:`deepkoco.fit.simulate.step`.
 """
 
@@ -26,12 +23,13 @@ from deepkoco.systems.trees.newton_euler_kernel import (
     move_frames,
     place_frames,
 )
+from deepkoco.systems.uncounted import UNCOUNTED
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "dafafec7d9715d80"
+COMPILED_WITH = "e168bab2cd5e3d3e"
 
 
-@njit(error_model="numpy", nogil=True, _nrt=False)
+@njit(**UNCOUNTED)
 def accelerations(
     tree,
     own,
@@ -124,7 +122,7 @@ def accelerations(
             result[k, i] = s[k, LOAD, i]
 
 
-@njit(error_model="numpy", nogil=True, _nrt=False)
+@njit(**UNCOUNTED)
 def runge_kutta(
     tree, own, effects, rows, masses, which, forces, level, stages, angle, speed, efforts, times, push, steady,
     direction, step, end_angle, end_speed, first, last,
@@ -170,7 +168,7 @@ def runge_kutta(
             last[k, i] = a4[k, i]
 
 
-@njit(error_model="numpy", nogil=True, _nrt=False)
+@njit(**UNCOUNTED)
 def _levels_at(tree, own, effects, forces, steady, angle, speed, share, effort, scratch, level):
     """Levels of dry friction (J, LANES) at a share of the speed."""
     drives, gear = tree[6:]
@@ -187,7 +185,7 @@ def _levels_at(tree, own, effects, forces, steady, angle, speed, share, effort, 
         add_levels(kinds, places, values, drives, forces, scratch, level)
 
 
-@njit(error_model="numpy", nogil=True, _nrt=False)
+@njit(**UNCOUNTED)
 def mean_levels(tree, own, effects, forces, steady, angle, speed, share, efforts, scratch, room, level):
     """Levels as :func:`_levels_at`, over the step by Simpson's rule; ``room`` (J, LANES) is overwritten."""
     _levels_at(tree, own, effects, forces, steady, angle, speed, share, efforts[1], scratch, level)

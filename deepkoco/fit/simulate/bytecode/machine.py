@@ -14,9 +14,11 @@ from numba import njit
 
 from deepkoco.systems.dry_friction import CLOSE, SWEEPS
 from deepkoco.systems.dry_friction_loop import rub
+from deepkoco.systems.sines import FARTHEST, near_sine_and_cosine
+from deepkoco.systems.uncounted import UNCOUNTED
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "f67a0c2b026efcab"
+COMPILED_WITH = "bbe7a0ca5e022cd6"
 
 OPCODES = (
     "add", "sub", "mul", "div", "neg", "abs", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh",
@@ -27,8 +29,7 @@ OPCODES = (
 BLOCK = 128  # simulations in a block: its rows stay in the cache
 
 
-# Nothing here makes an array. Counts of who holds one would take longer than an instruction.
-@njit(error_model="numpy", nogil=True, cache=True, _nrt=False)
+@njit(**UNCOUNTED, cache=True)
 def execute(code: np.ndarray, table: np.ndarray, n: int) -> None:
     """Run instructions on the first n numbers of the rows of a table.
 
@@ -62,11 +63,23 @@ def execute(code: np.ndarray, table: np.ndarray, n: int) -> None:
             for i in range(n):
                 t[i] = math.sqrt(a[i])
         elif op == 7:
+            far = False
             for i in range(n):
-                t[i] = math.sin(a[i])
+                far |= not abs(a[i]) < FARTHEST
+                t[i] = near_sine_and_cosine(a[i])[0]
+            if far:
+                for i in range(n):
+                    if not abs(a[i]) < FARTHEST:
+                        t[i] = math.sin(a[i])
         elif op == 8:
+            far = False
             for i in range(n):
-                t[i] = math.cos(a[i])
+                far |= not abs(a[i]) < FARTHEST
+                t[i] = near_sine_and_cosine(a[i])[1]
+            if far:
+                for i in range(n):
+                    if not abs(a[i]) < FARTHEST:
+                        t[i] = math.cos(a[i])
         elif op == 9:
             for i in range(n):
                 t[i] = math.tan(a[i])

@@ -1,0 +1,12 @@
+"""How functions that make no arrays are compiled: without the counts of who holds an array.
+
+Each row that is taken from an array would raise and lower its count, which takes longer than the work on a row of
+32 numbers.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+UNCOUNTED: dict[str, Any] = {"error_model": "numpy", "nogil": True, "_nrt": False}
+"""Options of ``numba.njit``."""
