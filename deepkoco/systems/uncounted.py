@@ -10,3 +10,6 @@ from typing import Any
 
 UNCOUNTED: dict[str, Any] = {"error_model": "numpy", "nogil": True, "_nrt": False}
 """Options of ``numba.njit``."""
+
+COUNTED: dict[str, Any] = {"error_model": "numpy", "nogil": True, "_nrt": True}
+"""Options of functions that make arrays and are called by uncounted ones, whose options they would take otherwise."""

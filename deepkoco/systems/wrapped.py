@@ -36,6 +36,9 @@ class WrappedSystem(System):
         self.payload_sites, self.tip = base.payload_sites, base.tip
         self.force_sites = base.force_sites
 
+    def unseen_joints(self, channels: Collection[str]) -> list[str]:
+        return self.base.unseen_joints(channels)
+
     def way_to_hold(self, channels: Collection[str]) -> str:
         return self.base.way_to_hold(channels)
 

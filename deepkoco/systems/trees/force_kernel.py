@@ -8,8 +8,10 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from deepkoco.systems.uncounted import COUNTED
 
-@njit(cache=True, error_model="numpy", nogil=True)
+
+@njit(**COUNTED, cache=True)
 def add_joint_loads(
     parent,  # (J,) index of the parent, J for the base
     turns,  # (J,) 1 for a hinge, 0 for a slide
