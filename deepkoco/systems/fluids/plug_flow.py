@@ -109,8 +109,10 @@ def push_fluid(
     after = PipeFluid(
         torch.where(joins, kept[:, 1:], kept[:, :-1]), torch.where(joins[..., None], mixed, held[:, :-1])
     )
-    moves = (inflow > 0.0)[:, None]
-    mean = content / torch.where(moves, inflow[:, None], 1.0)
+    # What rounding leaves of an inflow: of much less than the pipe holds, little or nothing.
+    moved = (fluid.edges[:, -1:] + inflow[:, None] - limit).clamp_min(0.0)
+    moves = moved > 0.0
+    mean = content / torch.where(moves, moved, 1.0)
     return after, Displaced(content, torch.where(moves, mean, outlet_value(fluid)))
 
 

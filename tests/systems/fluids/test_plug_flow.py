@@ -93,6 +93,12 @@ def test_a_constant_flow_is_a_delay_of_volume_by_flow():
     assert (means[:8] == 0.0).all()
 
 
+@pytest.mark.parametrize("inflow", [1e-300, 1e-17, 3e-16, 1e-12])
+def test_a_push_that_rounding_takes_away_shows_what_is_at_the_outlet(inflow):
+    means, _, _ = run([0.7, 0.9, inflow, 0.7], [1.0, 2.0, 3.0, 4.0], 10, start=5.0)
+    np.testing.assert_allclose(means[:3], 5.0, rtol=1e-12)
+
+
 def test_a_pipe_that_stands_still_keeps_what_it_has():
     means, _, fluid = run([0.5, 0.5, 0.0, 0.0, 0.5, 0.5, 0.5], [1.0, 2.0, 9.0, 9.0, 3.0, 4.0, 5.0], 10)
     # 2 m3 hold four pushes of 0.5: the first comes out with the fifth that moves.
