@@ -26,7 +26,7 @@ from deepkoco.systems.trees.newton_euler_kernel import (
 from deepkoco.systems.uncounted import UNCOUNTED
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "e168bab2cd5e3d3e"
+COMPILED_WITH = "a5aa48eee7cd6189"
 
 
 @njit(**UNCOUNTED)
