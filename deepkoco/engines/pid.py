@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from fractions import Fraction
 from typing import Any
@@ -36,6 +37,9 @@ class Pid(Node):
         measured: The same for `measured` and y.
         **options: As for `Node`.
 
+    Raises:
+        ValueError: A time is not above 0, another number is not finite, or the limits are none.
+
     Source: Astrom, Hagglund, Advanced PID control (2006), ch. 3.
     """
 
@@ -58,6 +62,16 @@ class Pid(Node):
         **options: Any,
     ) -> None:
         super().__init__(name, rate, **options)
+        if not (math.isfinite(gain) and math.isfinite(bias) and low < high):
+            raise ValueError(
+                f"gain = {gain}, bias = {bias}, limits {low} to {high}: give numbers, low below high"
+            )
+        times = {"integral_time": integral_time, "tracking_time": tracking_time}
+        for key, value in times.items():
+            if value is not None and not value > 0.0:
+                raise ValueError(f"{key} = {value} s; give a time above 0")
+        if not 0.0 <= derivative_time < math.inf:
+            raise ValueError(f"derivative_time = {derivative_time} s; give 0 or more")
         self.low, self.high, self.bias, self.tracking_time = low, high, bias, tracking_time
         settings = {"gain": gain, "integral_time": integral_time, "derivative_time": derivative_time}
         self.settings = {key: torch.tensor(value, dtype=torch.float64) for key, value in settings.items()}

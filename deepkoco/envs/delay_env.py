@@ -167,7 +167,7 @@ class DelayGraphVectorEnv(GraphVectorEnv):
         law = make_delay(ranges[name][1] if name in ranges else getattr(self.settings, name))
         if not law.constant and own != 0.0:
             raise SettingsError(
-                f"{name}: the model has one of {own:g} s and the environment a random one; put both into one law"
+                f"{name}: the model has one of {own:g} s and the environment one that varies; put both into one law"
             )
         return law if own == 0.0 else Deterministic(float(law.mean) + own)
 

@@ -58,3 +58,12 @@ def test_each_environment_can_have_settings_of_its_own():
     own = {"gain": torch.tensor([1.0, 3.0], dtype=torch.float64)}
     _, command = pid.step(own, state, {"goal": given(1.0, 1.0), "measured": given(0.0, 0.0)}, dt=0.5)
     assert command[:, 0].tolist() == [1.0, 3.0]
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"integral_time": 0.0}, {"gain": float("nan")}, {"derivative_time": -1.0}, {"low": 2.0}]
+)
+def test_settings_that_are_no_controller_are_refused(wrong):
+    settings = {"gain": 1.0, "integral_time": 10.0, "low": 0.0, "high": 1.0, **wrong}
+    with pytest.raises(ValueError, match="give"):
+        Pid("pid", 1.0, **settings)

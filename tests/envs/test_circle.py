@@ -11,6 +11,7 @@ from deepkoco.envs.delay_env import DelayGraphEnv, DelayGraphVectorEnv
 from deepkoco.envs.tasks import load_task
 from deepkoco.graph.live import WallClockRuntime
 from deepkoco.systems import make_system
+from deepkoco.systems.bodies.circle_path import outwards
 from deepkoco.systems.bodies.quadrotor import attitude_for
 from deepkoco.systems.bodies.quadrotor_height import FULL_THRUST
 
@@ -162,3 +163,9 @@ def test_the_environment_keeps_the_contract_and_draws_itself():
     picture = env.render()
     assert picture.shape == (256, 256, 3)
     assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 3
+
+
+def test_the_centre_is_a_radius_away_from_the_circle():
+    place = torch.tensor([[0.0, 0.0, 0.0], [0.0, 2.0, 0.0]], dtype=torch.float64)
+    cosine, sine = outwards(place)
+    assert (cosine.tolist(), sine.tolist()) == ([1.0, 0.0], [0.0, 1.0])

@@ -19,7 +19,8 @@ from deepkoco.envs.pool.seat import LARGEST, LOWEST_PUMP
 from deepkoco.envs.randomization import Randomize
 from deepkoco.envs.settings import SettingsError
 from deepkoco.graph.model.node import State
-from deepkoco.systems.fluids import pool_parameters
+from deepkoco.suggestion import did_you_mean
+from deepkoco.systems.fluids import POOL_PARAMETERS, pool_parameters
 from deepkoco.systems.fluids.pool_picture import draw_pool
 
 HISTORY = 3
@@ -76,8 +77,12 @@ class PoolVectorEnv(GraphVectorEnv):
         executor: str = "auto",
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
     ) -> None:
-        if action_history < 0:
-            raise SettingsError(f"action_history = {action_history}; give 0 or more")
+        for name, number, least in (("action_history", action_history, 0), ("render_size", render_size, 16)):
+            if not isinstance(number, int) or isinstance(number, bool) or number < least:
+                raise SettingsError(f"{name} = {number!r}; give a whole number from {least} on")
+        if not isinstance(noise, bool):
+            raise SettingsError(f"noise = {noise!r}; give True or False")
+        _check_ranges(randomize or {})
         try:
             options = PoolOptions(
                 filter=filter,
@@ -132,15 +137,23 @@ class PoolVectorEnv(GraphVectorEnv):
 
     def _given(self, options: Mapping[str, Any]) -> Mapping[str, State]:
         """``options["temperature"]`` and ``options["goal"]``, (B,) each, beside ``initial``."""
+        known = ("temperature", "goal", "initial")
+        if wrong := [name for name in options if name not in known]:
+            raise SettingsError(f'there is no option "{wrong[0]}"{did_you_mean(wrong[0], known) or ""}')
         if options.get("temperature") is None and options.get("goal") is None:
             return super()._given(options)
         if options.get("temperature") is None or options.get("goal") is None:
             raise SettingsError("a start needs both temperature and goal [deg C]")
-        given = (
-            torch.as_tensor(options[name], dtype=torch.float64).expand(self.num_envs)
-            for name in ("temperature", "goal")
-        )
-        return pool_start(self.graph, *given)
+        return pool_start(self.graph, *(self._degrees(name, options[name]) for name in known[:2]))
+
+    def _degrees(self, name: str, value: Any) -> Tensor:
+        try:
+            given = np.broadcast_to(np.asarray(value, dtype=np.float64), (self.num_envs,))
+        except (TypeError, ValueError):
+            given = np.full(1, np.nan)
+        if not np.isfinite(given).all():
+            raise SettingsError(f"{name} = {value!r}; give one number or {self.num_envs} [deg C]")
+        return torch.tensor(given)
 
     def _command(self, actions: Any) -> np.ndarray:
         share = 0.5 * (np.clip(super()._command(actions), -1.0, 1.0) + 1.0)
@@ -150,6 +163,23 @@ class PoolVectorEnv(GraphVectorEnv):
         share = 0.5 * (super().command_of(actions).clamp(-1.0, 1.0) + 1.0)
         low = torch.from_numpy(LOWEST)
         return low + (1.0 - low) * share
+
+
+def _check_ranges(randomize: Randomize) -> None:
+    """Refuse ranges of parameters that go beyond what these may be.
+
+    Raises:
+        SettingsError: One does.
+    """
+    declared = {f"{node}.{p.name}": p for node, parameters in POOL_PARAMETERS.items() for p in parameters}
+    for name, span in randomize.items():
+        p = declared.get(name)
+        if (
+            p is not None
+            and isinstance(span, tuple | list)
+            and not all(p.low <= end <= p.high for end in span)
+        ):
+            raise SettingsError(f"{name}: {tuple(span)} goes beyond {p.low:g} to {p.high:g} {p.unit}")
 
 
 LOWEST = np.array([0.0, LOWEST_PUMP])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -41,7 +42,8 @@ class PoolOptions:
         heat_noise: Of the filter: spectral density of the unknown heat [W2/s].
         noise: The thermometer has noise of 0.05 K and the flow meter of 1 %.
         history: Past actions in the agent's observation.
-        sensing_delay: From the thermometer to controllers, at most a second.
+        sensing_delay: From the thermometer to controllers; filters know nothing of it, so beyond some seconds they take
+            measurements for younger than they are.
         actuation_delay: From controllers to heater and pump.
     """
 
@@ -60,6 +62,10 @@ class PoolOptions:
     def __post_init__(self) -> None:
         if self.filter not in FILTERS:
             raise ValueError(f'filter = "{self.filter}"; choose one of {", ".join(FILTERS)}')
+        if not 0.0 <= self.constant_age <= LONGEST_AGE:
+            raise ValueError(f"constant_age = {self.constant_age} s; give 0 to {LONGEST_AGE:g} s")
+        if not 0.0 < self.heat_noise < math.inf:
+            raise ValueError(f"heat_noise = {self.heat_noise} W2/s; give a number above 0")
 
 
 def pool_graph(options: PoolOptions | None = None) -> Graph:

@@ -73,12 +73,15 @@ class KalmanNode(Node):
         if len(start) != width or len(start_sd) != width:
             raise LinearModelError(f"start and start_sd need {width} entries, one for each state")
         self.outputs = {"state": ((width,), torch.float64), "covariance": ((width, width), torch.float64)}
+        if not 0.0 <= age <= longest_age:
+            raise LinearModelError(f"age = {age:g} s; give 0 to the longest age, {longest_age:g} s")
         self.model, self.age, self.longest_age = model, age, longest_age
         self._commanded, self._measured = commanded or _as_it_is, measured or _as_it_is
         self._start = torch.tensor(start, dtype=torch.float64)
         self._spread = torch.diag(torch.tensor(start_sd, dtype=torch.float64) ** 2)
         # Between two measured states lies more than a period where the age shrinks, at most all of the age.
         self._steps = max(math.ceil((longest_age + 1.0 / float(rate)) / step - 1e-9), 1)
+        self._steps_a_tick = max(math.ceil(1.0 / float(rate) / step - 1e-9), 1)
         longest = (longest_age + 2.0 / float(rate)) / self._steps
         if longest > model.longest_step * (1.0 + 1e-9):
             raise LinearModelError(
@@ -110,12 +113,15 @@ class KalmanNode(Node):
         older = self._age_of(inputs)
         belief = Gaussian(state["mean"], state["covariance"])
         since, seen = state["since"], state["seen"]
+        # Without messages the belief goes on at the end of the known commands, and becomes less certain.
+        oldest = torch.maximum(since, now - self.longest_age - 1.0 / float(self.rate))
+        belief = self._carry(belief, since, oldest, held, sent.t_received, self._steps_a_tick)
+        since = oldest
         for k in range(sensor.seq.shape[1]):
             seq = sensor.seq[:, k]
             new = seq > seen
             # What the sensor showed before its first message is of the start.
             taken = torch.where(seq < 0, since, sensor.t_sent[:, k] - older)
-            taken = torch.maximum(taken, now - self.longest_age - 1.0 / float(self.rate))
             # Fluids do not overtake each other, but a measured age scatters. What is clearly older is of no use.
             new = new & (taken >= since - 0.5 / float(self.rate))
             taken = torch.where(new, torch.maximum(taken, since), since)
@@ -131,12 +137,21 @@ class KalmanNode(Node):
         """Age (B,) of what the sensor has sent last [s]."""
         return torch.full_like(inputs["sensor"].t_start, self.age)
 
-    def _carry(self, belief: Gaussian, start: Tensor, stop: Tensor, held: Tensor, acts: Tensor) -> Gaussian:
+    def _carry(
+        self,
+        belief: Gaussian,
+        start: Tensor,
+        stop: Tensor,
+        held: Tensor,
+        acts: Tensor,
+        steps: int | None = None,
+    ) -> Gaussian:
         """The belief at ``stop`` (B,) from that at ``start`` (B,) [s], in equal steps under their mean commands."""
-        step = (stop - start) / self._steps
+        steps = self._steps if steps is None else steps
+        step = (stop - start) / steps
         safe = torch.where(step > 0.0, step, 1.0)[:, None]
         transition = self.model.transition(step)
-        for i in range(self._steps):
+        for i in range(steps):
             begin = start + i * step
             belief = predict(belief, held_integral(held, acts, begin, begin + step) / safe, transition)
         return belief

@@ -131,7 +131,13 @@ def transport_delay(times: ArrayLike, flow: ArrayLike, volume: float) -> Schedul
     Raises:
         DelayError: A flow, a time or the volume is not as above.
     """
-    start, rate = np.asarray(times, dtype=np.float64), np.asarray(flow, dtype=np.float64)
+    try:
+        start, rate = np.asarray(times, dtype=np.float64), np.asarray(flow, dtype=np.float64)
+        volume = float(volume)
+    except (TypeError, ValueError) as error:
+        raise DelayError(f"transport_delay: give numbers: {error}") from error
+    if not np.isfinite(start).all():
+        raise DelayError("transport_delay: times must be finite")
     if start.ndim != 1 or start.shape != rate.shape or not len(start) or (np.diff(start) <= 0.0).any():
         raise DelayError("transport_delay: give one flow for each of the times, which must increase")
     if not (np.isfinite(rate).all() and (rate >= 0.0).all() and rate[-1] > 0.0):

@@ -66,7 +66,8 @@ class CirclePath(WrappedSystem):
 
 
 def outwards(place: Tensor) -> tuple[Tensor, Tensor]:
-    """Direction (cos, sin), each (...), from the axis of the circle to a place (..., 3)."""
+    """Direction (cos, sin), each (...), from the axis of the circle to a place (..., 3); that of x on the axis."""
     x, y = place[..., 0], place[..., 1]
-    distance = torch.sqrt(x * x + y * y).clamp_min(NEAR)
-    return x / distance, y / distance
+    length = torch.sqrt(x * x + y * y)
+    distance, central = length.clamp_min(NEAR), length < NEAR
+    return torch.where(central, 1.0, x / distance), torch.where(central, 0.0, y / distance)

@@ -106,7 +106,7 @@ def test_the_pipe_may_differ_between_environments():
 
 @pytest.mark.parametrize(
     ("wrong", "message"),
-    [({"filter": "future"}, "choose one of none"), ({"action_history": -1}, "0 or more")],
+    [({"filter": "future"}, "choose one of none"), ({"action_history": -1}, "from 0 on")],
 )
 def test_a_wrong_setting_is_an_error(wrong, message):
     with pytest.raises(SettingsError, match=message):
@@ -127,3 +127,30 @@ def test_it_is_drawn():
 def test_it_is_registered_once():
     deepkoco.envs.register_envs()
     assert "deepkoco/Pool-v0" in gymnasium.registry
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"randomize": {"world.pipe_volume": (0.0, 0.1)}}, "world.pipe_volume: .* goes beyond"),
+        ({"action_history": 1.5}, "action_history = 1.5; give a whole number"),
+        ({"noise": "yes"}, "noise = 'yes'; give True or False"),
+    ],
+)
+def test_wrong_settings_are_refused(given, message):
+    with pytest.raises(SettingsError, match=message):
+        PoolVectorEnv(2, executor="eager", **given)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"temperature": "x", "goal": 30.0}, r"temperature = 'x'; give one number or 2 \[deg C\]"),
+        ({"temperature": [29.0, 29.0, 29.0], "goal": 30.0}, "give one number or 2"),
+        ({"temperature": float("nan"), "goal": 30.0}, "give one number or 2"),
+        ({"temprature": 29.0}, 'there is no option "temprature"'),
+    ],
+)
+def test_wrong_starts_are_refused(options, message):
+    with pytest.raises(SettingsError, match=message):
+        PoolVectorEnv(2, executor="eager").reset(seed=0, options=options)

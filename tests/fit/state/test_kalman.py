@@ -12,6 +12,7 @@ from scipy.linalg import expm, solve_discrete_are
 from deepkoco.fit.state.kalman import Gaussian, LinearModel, LinearModelError, predict, update
 from deepkoco.fit.state.kalman_node import AgedKalmanNode, KalmanNode
 from deepkoco.graph import BatchedRuntime, Connection, Graph, Node, Supervisor, draw_timing
+from deepkoco.graph.delay import Deterministic, Lossy
 
 A = np.array([[0.0, 1.0, 0.0], [-0.5, -0.2, 1.0], [0.0, 0.0, -0.7]])
 B = np.array([[0.0], [0.0], [0.7]])
@@ -195,3 +196,76 @@ def test_a_model_for_shorter_steps_is_refused():
     mass = LinearModel([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], [[1.0, 0.0]], [0.0, 1e-9], [1e-3], 0.05)
     with pytest.raises(LinearModelError, match=r"made for 0\.05 s"):
         KalmanNode("kalman", 10.0, mass, (0.0, 0.0), (0.1, 0.1), age=0.2, longest_age=0.5, step=0.1)
+
+
+class Plant(Node):
+    """x(k + 1) = F x(k) + G u(k), as the model of the filter."""
+
+    inputs = ("command",)
+
+    def init(self, parameters, generator, batch):
+        return {"x": torch.tensor([[1.0, 0.0]], dtype=torch.float64).expand(batch, 2).clone()}
+
+    def initial_output(self, parameters, state, batch):
+        return state["x"]
+
+    def step(self, parameters, state, inputs):
+        x = state["x"] @ FREE.T + inputs["command"].data[:, -1] @ DRIVEN.T
+        return {"x": x}, x
+
+
+class Seat(Supervisor):
+    inputs = ("filter", "plant")
+
+    def init(self, parameters, generator, batch):
+        return {}
+
+    def observe(self, parameters, state, inputs, action):
+        shown = inputs["filter"].data
+        parts = (shown["state"][:, -1], inputs["plant"].data[:, -1], shown["covariance"][:, -1].flatten(1))
+        return state, {"observation": torch.cat(parts, 1), "reward": action[:, 0]}
+
+
+SWING = np.array([[0.0, 1.0], [-4.0, -0.4]])
+PUSH = np.array([[0.0], [4.0]])
+FREE = torch.tensor(expm(0.1 * SWING))
+DRIVEN = torch.tensor(np.linalg.solve(SWING, expm(0.1 * SWING) - np.eye(2)) @ PUSH)
+
+
+def test_a_filter_without_messages_goes_on_with_the_commands_and_becomes_less_certain():
+    """Nine of ten messages are lost, and the filter keeps the commands of the last 0.3 s only."""
+    model = LinearModel(SWING, PUSH, [[1.0, 0.0]], [0.0, 1e-2], [0.01], longest_step=0.2)
+    own = KalmanNode(
+        "filter",
+        10.0,
+        model,
+        (1.0, 0.0),
+        (0.5, 0.5),
+        longest_age=0.2,
+        step=0.1,
+        measured=lambda shown: shown[..., :1],
+    )
+    graph = Graph(
+        [Plant("plant", 10.0), own, Seat("agent", 10.0, initial_action=torch.ones(1, dtype=torch.float64))],
+        [
+            Connection("plant", "filter", name="sensor", delay=Lossy(Deterministic(0.0), 0.9)),
+            Connection("agent", "filter", name="command", skip=True, window=own.commands_needed(10.0)),
+            Connection("agent", "plant", name="command", skip=True),
+            Connection("filter", "agent"),
+            Connection("plant", "agent"),
+        ],
+    )
+    runtime = BatchedRuntime(graph, draw_timing(graph, np.random.default_rng(0), 200, 1), executor="eager")
+    start, _ = runtime.reset({}, [torch.Generator().manual_seed(0)], {})
+    actions = torch.sign(torch.sin(0.35 * torch.arange(200) + 0.1))[:, None, None].double()
+    _, taken = runtime.rollout(start, actions, record=["observation"])
+    seen = taken["observation"][:, 0]
+    # Unbounded, the errors were 2.3 and more, of a motion of about 3.
+    np.testing.assert_allclose(seen[:, :2], seen[:, 2:4], atol=0.02)
+    assert float(seen[:, 4].max()) > 2.0 * float(seen[:, 4].median())
+
+
+def test_an_age_beyond_the_longest_is_refused():
+    model = LinearModel(SWING, PUSH, [[1.0, 0.0]], [0.0, 1e-2], [0.01], longest_step=0.2)
+    with pytest.raises(LinearModelError, match=r"age = 0\.3 s; give 0 to the longest age, 0\.2 s"):
+        KalmanNode("filter", 10.0, model, (0.0, 0.0), (1.0, 1.0), age=0.3, longest_age=0.2, step=0.1)
