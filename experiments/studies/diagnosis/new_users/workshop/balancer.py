@@ -65,7 +65,7 @@ ROBOT = Robot(
         "balancer_healthy": Case("balancer"),
         "balancer_quiet": Case("balancer", {"reach": 0.0}),
         "balancer_limit": Case("balancer", {"limit": 1.2}, ("saturation",), 1.2),
-        "balancer_mount": Case("balancer", {"mount": 2.0 / DEG}, ("sensor_bias(pitch)", "sensor_bias(tilt)"), 0.0349),
+        "balancer_mount": Case("balancer", {"mount": 2.0 / DEG}, ("sensor_bias(body)",), 0.0349),
         "balancer_dry": Case("balancer", {"dry": 0.015}, ("coulomb(wheel)", "stribeck(wheel)"), 0.015),
         "balancer_tall": Case("balancer", {"height": 0.12}, ("changed(height)",), 0.12),
         "balancer_delay_h3": Case(
