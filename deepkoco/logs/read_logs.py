@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deepkoco.logs.formats.log_file import LogError, TooLittleError
+from deepkoco.logs.formats.open_log import files_kept
 from deepkoco.logs.formats.recordings import recordings
 from deepkoco.logs.part import split_part
 from deepkoco.logs.recording import Recording, read_log
@@ -90,6 +91,13 @@ def read_runs(
     Raises:
         LogError: The log cannot be read, it has no such run, or none of its runs is long enough.
     """
+    with files_kept():
+        return _read_runs(path, read, episodes)
+
+
+def _read_runs(
+    path: Path, read: Callable[[Path], Recording], episodes: Collection[int] | None
+) -> list[Recording]:
     try:
         return [read(path)]
     except RestartError as error:

@@ -198,3 +198,12 @@ def test_arrays_that_are_no_log_of_their_own_are_passed_over_in_a_folder(tmp_pat
     write(tmp_path / "calibration.npz", {"matrix": np.eye(6)})
     write(tmp_path / "other.mat", {"t": T, "u": TORQUE, "q": ANGLE})
     assert [path.name for path in recordings([tmp_path])] == ["log.csv", "other.mat"]
+
+
+def test_a_folder_counts_a_file_by_names_in_groups_and_attributes(tmp_path):
+    with h5py.File(tmp_path / "rate.h5", "w") as file:
+        file["arm/q"] = ANGLE
+        file["arm"].attrs["fs"] = 50.0
+    with h5py.File(tmp_path / "weights.h5", "w") as file:
+        file["layer/kernel"] = np.eye(3)
+    assert [path.name for path in recordings([tmp_path])] == ["rate.h5"]

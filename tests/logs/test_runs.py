@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from deepkoco.cli.logs import read_logs as logs_of_command
 from deepkoco.logs import LogError, read_log, read_logs
+from deepkoco.logs.formats.open_log import files_kept, open_log
 from deepkoco.logs.runs import MARK, runs_of, split_run
 
 MAPPING = {
@@ -154,3 +155,11 @@ def test_clocks_with_different_numbers_of_runs_are_refused(tmp_path):
 def test_a_part_of_a_log_of_several_runs_is_refused(path):
     with pytest.raises(LogError, match="the log has 4 runs"):
         read_logs(f"{path}#t=0,1", "torque_pendulum", mapping=MAPPING)
+
+
+def test_a_file_is_read_once_for_all_its_runs(path):
+    with files_kept():
+        whole = open_log(path)
+        assert open_log(path) is whole
+        assert open_log(path, {"": {"t"}}) is not whole
+    assert open_log(path) is not whole

@@ -29,7 +29,9 @@ def looks_like_arrays(path: Path) -> bool:
         elif suffix == ".mat" and not _is_hdf5(path):
             names = [name for name, _ in _flat(_load_mat(path))]
         else:
-            names = list(_entries(path))
+            names = _names(path)
+    except ImportError:
+        return True  # reading it says what is missing
     except Exception:  # the libraries raise errors of many kinds on damaged files
         return False
     return any(is_time(name.replace("/", ".")) for name in names)
@@ -119,6 +121,16 @@ def _entries(path: Path) -> dict[str, Any]:
         file.visititems(visit)
         _bound(path, sum(int(item.nbytes) for item in arrays.values()))
         return {**dict(file.attrs.items()), **told, **{name: _text(item) for name, item in arrays.items()}}
+
+
+def _names(path: Path) -> list[str]:
+    """Names of what is in an HDF5 file, without reading any of it."""
+    import h5py
+
+    names: list[str] = []
+    with h5py.File(path, "r") as file:
+        file.visititems(lambda name, item: names.extend([name, *(f"{name}/{key}" for key in item.attrs)]))
+        return [*names, *file.attrs]
 
 
 def _text(item: Any) -> Any:

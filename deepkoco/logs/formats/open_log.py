@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from deepkoco.logs.formats.log_file import LogError, LogFile
 from deepkoco.logs.formats.recordings import is_bag, one_recording
@@ -84,18 +87,43 @@ FORMATS: dict[str, Callable[[Path, Wanted], LogFile]] = {
 }
 
 
+_kept: ContextVar[dict[Any, LogFile] | None] = ContextVar("kept", default=None)
+
+
+@contextmanager
+def files_kept() -> Iterator[None]:
+    """Read each file once within the block, such as for its runs, which are read one after the other."""
+    token = _kept.set({})
+    try:
+        yield
+    finally:
+        _kept.reset(token)
+
+
 def open_log(path: str | Path, wanted: Wanted = None) -> LogFile:
     """Read a log file.
 
     Args:
         path: `.csv` (or `.tsv`, `.txt`), `.parquet`, `.mcap`, `.bag` (ROS 1), `.db3` (ROS 2), `.pt` (tensors),
-            `.json` (entries), the folder of a ROS 2 bag, a folder with a CSV of commands and one of measurements, or
-            an episode of a LeRobot dataset (`DATASET/episode_3`). A folder that contains one recording stands for it.
+            `.json` (entries), `.npz`, `.mat`, `.h5` or `.hdf5` (arrays), the folder of a ROS 2 bag, a folder with a CSV
+            of commands and one of measurements, or an episode of a LeRobot dataset (`DATASET/episode_3`). A folder
+            that contains one recording stands for it.
         wanted: fields to read of each topic; None reads all. Files without topics are always read completely.
 
     Raises:
         LogError: the file is missing, empty or damaged, its format is not known, or a library is missing.
     """
+    kept = _kept.get()
+    if kept is None:
+        return _read(path, wanted)
+    fields = None if wanted is None else tuple((t, *sorted(names)) for t, names in sorted(wanted.items()))
+    key = (Path(path), fields)
+    if key not in kept:
+        kept[key] = _read(path, wanted)
+    return kept[key]
+
+
+def _read(path: str | Path, wanted: Wanted) -> LogFile:
     from deepkoco.logs.formats.lerobot import is_episode
 
     path = one_recording(Path(path))
