@@ -36,6 +36,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--seed", type=int, default=0, help="seed of the initial states (default: 0)")
     parser.add_argument(
+        "--setup", type=Path, metavar="SETUP.yaml",
+        help="rates, delays, windows and parameters in the place of those of the file",
+    )  # fmt: skip
+    parser.add_argument(
         "--silence", type=float, default=60.0, metavar="MS",
         help="stop if nothing comes from the robot for this long (default: 60 ms)",
     )  # fmt: skip
@@ -55,6 +59,7 @@ def run(args: argparse.Namespace) -> int:
     from deepkoco.graph.live import NodeFailure, WallClockRuntime
     from deepkoco.graph.net import ConnectionRefused, connect
     from deepkoco.graph.net.graph_file import read_graph_file
+    from deepkoco.graph.setup import SetupError
     from deepkoco.own_objects import OwnObjectError
     from deepkoco.unit.messages import UnitError
 
@@ -62,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(f"--episodes {args.episodes} of --seconds {args.seconds:g}: give more than 0")
     silence = seconds_of_silence(args.silence)
     try:
-        file = read_graph_file(args.graph)
+        file = read_graph_file(args.graph, args.setup)
         graph, policy, parameters = file.graph, file.policy(), file.parameters()
         steps = max(1, round(args.seconds * float(graph.node(graph.supervisor).rate)))
         generator = torch.Generator().manual_seed(args.seed)
@@ -75,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
                 runtime.run(policy, steps)
                 episode = runtime.finish()
                 _report(number, graph, episode, away)
-    except (OwnObjectError, ConnectionRefused, EpisodeFileError) as error:
+    except (OwnObjectError, SetupError, ConnectionRefused, EpisodeFileError) as error:
         raise InputError(str(error)) from error
     except NodeFailure as failure:
         raise UnitError(str(failure) + _where(args.record)) from failure

@@ -34,6 +34,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--listen", default="127.0.0.1:7411", metavar="HOST:PORT", help="address (default: 127.0.0.1:7411)"
     )
     parser.add_argument(
+        "--setup", type=Path, metavar="SETUP.yaml",
+        help="rates, delays, windows and parameters in the place of those of the file",
+    )  # fmt: skip
+    parser.add_argument(
         "--silence", type=float, default=60.0, metavar="MS",
         help="stop if nothing comes for this long, or no message to a node for this long beyond its period "
         "(default: 60 ms)",
@@ -77,12 +81,13 @@ def run(args: argparse.Namespace) -> int:
     from deepkoco.graph.net.failure import ConnectionRefused
     from deepkoco.graph.net.graph_file import read_graph_file
     from deepkoco.graph.net.robot_end import RobotEnd, RobotOptions
+    from deepkoco.graph.setup import SetupError
     from deepkoco.own_objects import OwnObjectError
 
     nodes, threads = (tuple(filter(None, text.split(","))) for text in (args.nodes, args.threads))
     silence = seconds_of_silence(args.silence)
     try:
-        file = read_graph_file(args.graph)
+        file = read_graph_file(args.graph, args.setup)
         options = RobotOptions(
             threads=threads,
             factories=file.factories(set(nodes)),
@@ -96,7 +101,7 @@ def run(args: argparse.Namespace) -> int:
                     lambda _: end.close()
                 )  # a service manager that ends it, or a terminal that closes
             end.serve(args.sessions)
-    except (OwnObjectError, GraphError, ConnectionRefused, EpisodeFileError) as error:
+    except (OwnObjectError, SetupError, GraphError, ConnectionRefused, EpisodeFileError) as error:
         raise InputError(str(error)) from error
     return 0
 

@@ -1,4 +1,4 @@
-"""`deepkoco show`: summarise a recording of a graph, or analyse a trained model."""
+"""`deepkoco show`: summarise a recording of a graph, show a graph to be edited, or analyse a trained model."""
 
 from __future__ import annotations
 
@@ -20,16 +20,22 @@ if TYPE_CHECKING:
 
 DESCRIPTION = """\
 For a recording of a graph (MCAP): show its nodes with nominal and realised rates, its delays (mean, median, 99 %
-quantile), overruns and losses. Options draw it or write an interactive page. For a training run or an exported model
-(a folder): analyse the latent model on new episodes and write one page (about a minute)."""
+quantile), overruns and losses. Options draw it or write an interactive page. For a Python file with a function graph():
+show rates, delays and windows; the page lets you edit them, and the parameters, and saves YAML that --setup reads. For
+a training run or an exported model (a folder): analyse the latent model on new episodes and write one page (about a
+minute)."""
 EXAMPLE = """\
 example:
   deepkoco show runs/rod.mcap
   deepkoco show runs/rod.mcap --pictures runs/rod_pictures --html runs/rod.html
   deepkoco show runs/rod.mcap.partial --partial      the complete part of a killed run
+  deepkoco show robot.py --html robot.html           a graph, to be edited
+  deepkoco show robot.py --setup setup.yaml          the same with what was saved
   deepkoco show runs/first --out first.html          analysis of a trained model
   deepkoco show model --task Pendulum-v1             a model without the name of its task"""
 OF_A_RECORDING = ("partial", "episode", "start", "stop", "pictures", "html")
+NOT_OF_A_GRAPH = ("partial", "episode", "start", "stop")
+OF_A_GRAPH = ("setup",)
 OF_A_RUN = ("out", "task", "reference", "axes", "seed")
 
 
@@ -38,11 +44,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "path",
         type=Path,
-        metavar="RECORDING|RUN",
-        help="recording, .mcap, or folder of a training run or model",
+        metavar="RECORDING|GRAPH.py|RUN",
+        help="recording, .mcap, file with a function graph(), or folder of a training run or model",
     )
     parser.add_argument("--json", action="store_true", help="print JSON instead of text")
-    recording = parser.add_argument_group("options of a recording")
+    recording = parser.add_argument_group("options of a recording or a graph")
     recording.add_argument(
         "--partial", action="store_true", help="read the complete part of a truncated file"
     )
@@ -55,6 +61,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--pictures", type=Path, metavar="DIR", help="new folder for graph, timeline, delays"
     )
     recording.add_argument("--html", type=Path, metavar="PAGE.html", help="interactive page to write")
+    recording.add_argument(
+        "--setup", type=Path, metavar="SETUP.yaml",
+        help="rates, delays, windows and parameters in the place of those of GRAPH.py",
+    )  # fmt: skip
     trained = parser.add_argument_group("options of a training run or model")
     trained.add_argument(
         "--out", type=Path, metavar="PAGE.html", help="page to write (default: analysis.html in the folder)"
@@ -75,13 +85,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Show a recording, or analyse a run.
+    """Show a recording or a graph, or analyse a run.
 
     Raises:
-        InputError: It is neither a recording nor a trained model, or an option belongs to the other one.
+        InputError: It is none of them, or an option belongs to another one.
     """
     if args.path.is_dir():
-        _refuse(args, OF_A_RECORDING, "recordings", "folder of a training run or model")
+        _refuse(
+            args, OF_A_RECORDING + OF_A_GRAPH, "recordings and graphs", "folder of a training run or model"
+        )
         from deepkoco.cli.show_run import show_run
 
         if args.seed < 0:
@@ -89,8 +101,16 @@ def run(args: argparse.Namespace) -> int:
         return show_run(args)
     if not args.path.exists():
         raise InputError(
-            f"{args.path}: no such file or folder; give a recording (.mcap), or the folder of a training run or model"
+            f"{args.path}: no such file or folder; give a recording (.mcap), a file with a graph (.py), or the "
+            "folder of a training run or model"
         )
+    if args.path.suffix == ".py":
+        _refuse(args, NOT_OF_A_GRAPH, "recordings", "file of a graph")
+        _refuse(args, OF_A_RUN, "training runs and models", "file of a graph")
+        from deepkoco.cli.show_graph import show_graph
+
+        return show_graph(args)
+    _refuse(args, OF_A_GRAPH, "files of a graph", "recording")
     _refuse(args, OF_A_RUN, "training runs and models", "recording")
     return show_recording(args)
 

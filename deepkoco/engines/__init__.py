@@ -1,6 +1,7 @@
 """Objects and the engines that run them: one graph on equations, on MuJoCo or on a unit."""
 
-from deepkoco.engines.assembly import ENGINES, command_window, find_engine, make_graph
+from deepkoco.engines.assembly import ENGINES, find_engine, make_graph
+from deepkoco.engines.command_window import command_window
 from deepkoco.engines.engine import Engine, EngineError, EngineObject
 from deepkoco.engines.mjcf_object import MjcfObject
 from deepkoco.engines.mjcf_world import MjcfSensor, MjcfWorld

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,11 +11,11 @@ import torch
 from deepkoco.engines.engine import Engine, EngineError, EngineObject, Ports
 from deepkoco.engines.mjcf_world import MjcfWorld
 from deepkoco.engines.robot import find_object
-from deepkoco.engines.sensor import Sensor
 from deepkoco.engines.simulated import MujocoEngine, OdeEngine
 from deepkoco.engines.unit import UnitEngine
 from deepkoco.graph import Connection, Delay, Graph, Node, Supervisor, make_delay
-from deepkoco.systems import Parameters, System
+from deepkoco.graph.model.connection import wide_enough
+from deepkoco.systems import System
 
 HOP = 2e-3  # what a message is expected to take between processes [s]
 ENGINES: dict[str, type[Engine]] = {engine.name: engine for engine in (OdeEngine, MujocoEngine, UnitEngine)}
@@ -86,18 +85,13 @@ def make_graph(
         sensing = make_delay(_of(sensing_delay, name, objects))
         if port.sensor:
             name_of_world = None if port.world == "world" else "world"
-            window = _states_between(graph_nodes[port.sensor], graph_nodes[port.world])
-            connections.append(
-                Connection(port.world, port.sensor, delay=hop, window=window, name=name_of_world)
-            )
+            seen = Connection(port.world, port.sensor, delay=hop, name=name_of_world)
+            connections.append(wide_enough(seen, graph_nodes[port.world], graph_nodes[port.sensor]))
             delay = max(sensing, hop, key=lambda law: law.mean)
             connections += _for_agent(agent, Connection(port.sensor, agent.name, delay=delay))
         if port.command is not None:
             actuation = make_delay(_of(actuation_delay, name, objects))
-            system = getattr(graph_nodes[port.world], "system", None)
-            further = longest_further_delay(system, system.default_parameters()) if system else 0.0
-            window = (actuation, maker.world_rate, further)
-            connections += _to_world(agent, chains[name], port, hop, window)
+            connections += _to_world(agent, chains[name], port, hop, actuation, graph_nodes[port.world])
     for name, own in entries.items():
         world: Any = graph_nodes[ports[name].world]
         if isinstance(world, MjcfWorld):
@@ -124,42 +118,12 @@ def find_engine(engine: str | Engine) -> Engine:
     return ENGINES[engine]()
 
 
-def command_window(delay: Delay, rate: float, world_rate: float, further: float = 0.0) -> int:
-    """How many commands a tick of the world must see.
-
-    Those under way may all arrive within one tick, and the one before them still holds; with a constant delay
-    they keep their distance.
-
-    Args:
-        delay: From the agent to the world.
-        rate: Commands per second [Hz].
-        world_rate: Ticks per second [Hz].
-        further: Longest delay of one command beyond that of all [s], see `System.further_delays`.
-    """
-    spread = 0.0 if delay.constant else delay.highest
-    return 2 + math.ceil((spread + further + 1.0 / world_rate) * rate)
-
-
-def longest_further_delay(system: System, parameters: Parameters) -> float:
-    """Longest delay of one command beyond that of all [s]."""
-    return max((float(delay.max()) for delay in system.further_delays(parameters) or ()), default=0.0)
-
-
-def _states_between(sensor: Node, world: Node) -> int:
-    """How many states of the world a measurement must see."""
-    return sensor.states_between(float(world.rate)) if isinstance(sensor, Sensor) else 1
-
-
 def _to_world(
-    agent: Supervisor, chain: tuple[Node, ...], port: Ports, hop: Delay, last_hop: tuple[Delay, float, float]
+    agent: Supervisor, chain: tuple[Node, ...], port: Ports, hop: Delay, actuation: Delay, world: Node
 ) -> list[Connection]:
-    """The way of the commands from the agent through the action nodes to the world.
-
-    ``last_hop`` has the delay of the last part of the way, the world's rate [Hz] and the longest delay of one command
-    beyond that of all [s].
-    """
-    connections, before = [], agent
-    actuation, world_rate, further = last_hop
+    """The way of the commands from the agent through the action nodes to the world; its last part has `actuation`."""
+    connections: list[Connection] = []
+    before: Node = agent
     for node in chain:
         known = {"agent": before.name, "sensor": port.sensor, "truth": port.world}
         for name in node.inputs or ("agent",):
@@ -171,9 +135,8 @@ def _to_world(
                 Connection(known[name], node.name, delay=hop, blocking=node.advance, name=name)
             )
         before = node
-    window = command_window(actuation, float(before.rate), world_rate, further)
-    last = Connection(before.name, port.world, delay=actuation, window=window, skip=True, name=port.command)
-    return [*connections, last]
+    last = Connection(before.name, port.world, delay=actuation, skip=True, name=port.command)
+    return [*connections, wide_enough(last, before, world)]
 
 
 def _for_agent(agent: Supervisor, connection: Connection) -> list[Connection]:

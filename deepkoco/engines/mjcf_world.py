@@ -10,13 +10,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from deepkoco.engines.command_window import window_of_commands
 from deepkoco.engines.engine import EngineError
 from deepkoco.engines.hold import means_within_tick
 from deepkoco.engines.model_parameters import changed_model, check_names
 from deepkoco.engines.mujoco_world import import_mujoco
 from deepkoco.engines.noise import draw_keys, normal
 from deepkoco.engines.scene import Scene
-from deepkoco.graph import Input, Node
+from deepkoco.graph import Connection, Input, Node
 from deepkoco.graph.model.node import State
 from deepkoco.systems import Parameters
 
@@ -78,6 +79,10 @@ class MjcfWorld(Node):
         self._size = model.nq + model.nv
         self._width = self._size + model.na + (model.nsensordata if scene.reads_sensors else 0)
         self._forget()
+
+    def least_window(self, connection: Connection, sender: Node) -> int:
+        """Of commands, those of a tick and the one before them."""
+        return window_of_commands(self, connection, sender)
 
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"_pool": None, "_datas": None, "_models": {}, "_last": ((), [])}
@@ -248,6 +253,7 @@ class MjcfSensor(Node):
 
     inputs = ("world",)
     finite = False
+    free_rate = True
 
     def __init__(
         self, scene: Scene, object: str, rate: float, noisy: bool = False, name: str = "sensor"

@@ -9,12 +9,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from deepkoco.engines.command_window import window_of_commands
 from deepkoco.engines.engine import EngineError
 from deepkoco.engines.hold import mean_over_tick
 from deepkoco.engines.mjcf import HingedBody, model_xml
 from deepkoco.engines.start import start_state
 from deepkoco.extras import dependency_command
-from deepkoco.graph import Input, Node
+from deepkoco.graph import Connection, Input, Node
 from deepkoco.graph.model.node import State
 from deepkoco.systems import JointSystem, Parameters
 
@@ -56,6 +57,10 @@ class MujocoWorld(Node):
         self.low = max(-command_limit, system.command.low)
         self.high = min(command_limit, system.command.high)
         self._simulator: _Simulator | None = None
+
+    def least_window(self, connection: Connection, sender: Node) -> int:
+        """Of commands, those of a tick and the one before them."""
+        return window_of_commands(self, connection, sender)
 
     def close(self) -> None:
         self._simulator = None

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from fractions import Fraction
+from typing import Self
 
 import torch
 from torch import Tensor
 
+from deepkoco.engines.command_window import window_of_commands
 from deepkoco.engines.hold import mean_over_tick
 from deepkoco.engines.start import start_state
-from deepkoco.graph import Input, Node
+from deepkoco.graph import Connection, Input, Node
 from deepkoco.graph.model.node import State
 from deepkoco.systems import Parameters, System, rk4_step
 from deepkoco.systems.plain import is_plain, needs_gradient
@@ -38,6 +41,7 @@ class World(Node):
     """
 
     inputs = ("agent",)
+    free_rate = True
 
     def __init__(
         self,
@@ -62,6 +66,15 @@ class World(Node):
         self.advance_by = {"rk4": self._rk4, "semi_implicit_euler": self._semi_implicit_euler}[integrator]
         rubbing, remembering = StickSlip.sizes(system) if integrator == "rk4" else (0, 0)
         self.sticks, self.remembers = bool(rubbing or remembering), remembering
+
+    def at_rate(self, rate: float | Fraction) -> Self:
+        node = super().at_rate(rate)
+        node.period, node.advance_by = float(1 / node.rate), getattr(node, self.advance_by.__name__)
+        return node
+
+    def least_window(self, connection: Connection, sender: Node) -> int:
+        """Of commands, those of a tick and the one before them."""
+        return window_of_commands(self, connection, sender)
 
     def init(self, parameters: Parameters, generator: torch.Generator, batch: int) -> State:
         idle = torch.zeros(batch, len(self.limits), dtype=torch.float64)

@@ -44,6 +44,7 @@ class Pid(Node):
     """
 
     inputs = ("goal", "measured")
+    free_rate = True
 
     def __init__(
         self,

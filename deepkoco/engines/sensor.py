@@ -9,7 +9,7 @@ from torch import Tensor
 
 from deepkoco.engines.noise import draw_keys, normal
 from deepkoco.engines.start import start_state
-from deepkoco.graph import Input, Node
+from deepkoco.graph import Connection, Input, Node
 from deepkoco.graph.model.node import State
 from deepkoco.systems import Parameters, System
 from deepkoco.systems.dry_friction import Levels
@@ -36,6 +36,8 @@ class Sensor(Node):
     Source: as for :mod:`deepkoco.systems.effects.hysteresis`.
     """
 
+    free_rate = True
+
     def __init__(self, system: System, rate: float, noise: tuple[float, ...]) -> None:
         super().__init__("sensor", rate)
         self.system, self.noise = system, noise
@@ -43,9 +45,9 @@ class Sensor(Node):
         play = system.output_play(system.default_parameters())
         self.loose = tuple(j for j, width in enumerate(play) if width is not None)
 
-    def states_between(self, world_rate: float) -> int:
-        """Window of the connection from a world with this rate [Hz]."""
-        return max(1, math.ceil(world_rate / float(self.rate))) if self.loose else 1
+    def least_window(self, connection: Connection, sender: Node) -> int:
+        """Behind a play, the states of the world between two measurements."""
+        return max(1, math.ceil(float(sender.rate) / float(self.rate))) if self.loose else 1
 
     def init(self, parameters: Parameters, generator: torch.Generator, batch: int) -> State:
         state = {"start": start_state(self.system, parameters, batch)}

@@ -9,10 +9,11 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from deepkoco.engines.command_window import window_of_commands
 from deepkoco.engines.engine import Engine, EngineError
 from deepkoco.engines.reset import ResetNode, Teleport
 from deepkoco.engines.start import start_state
-from deepkoco.graph import Input, Node
+from deepkoco.graph import Connection, Input, Node
 from deepkoco.graph.model.node import State
 from deepkoco.systems import JointSystem, Parameters, System
 from deepkoco.unit import SensorMessage, SimulatedUnit, Unit, UnitSpec, load_unit, make_unit
@@ -75,6 +76,7 @@ class UnitWorld(Node):
 
     inputs = ("agent",)
     pure = False
+    free_rate = True
 
     def __init__(
         self,
@@ -93,6 +95,10 @@ class UnitWorld(Node):
         self.high = min(command_limit, system.command.high)
         self._unit: Unit | SimulatedUnit | None = None
         self._origin = 0.0
+
+    def least_window(self, connection: Connection, sender: Node) -> int:
+        """Of commands, those of a tick and the one before them."""
+        return window_of_commands(self, connection, sender)
 
     def open(self) -> None:
         self._unit = CLOCKS[self.clock](self.spec).__enter__()
@@ -141,6 +147,7 @@ class Relay(Node):
     """Hands on the world's last output: the unit has measured already."""
 
     inputs = ("world",)
+    free_rate = True
 
     def __init__(self, system: JointSystem, rate: float) -> None:
         super().__init__("sensor", rate)

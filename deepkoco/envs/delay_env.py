@@ -12,7 +12,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from torch import Tensor
 
-from deepkoco.engines.assembly import command_window, longest_further_delay
+from deepkoco.engines.command_window import command_window, longest_further_delay
 from deepkoco.engines.ode import World
 from deepkoco.engines.sensor import Sensor
 from deepkoco.envs.action_range import command_range, held_effort
@@ -24,6 +24,7 @@ from deepkoco.envs.settings import DELAYS, EnvironmentSettings, SettingsError
 from deepkoco.envs.task_randomization import TaskRandomization
 from deepkoco.graph import Connection, Graph
 from deepkoco.graph.delay import Delay, Deterministic, make_delay
+from deepkoco.graph.model.connection import wide_enough
 from deepkoco.graph.model.node import State
 
 
@@ -117,14 +118,15 @@ class DelayGraphVectorEnv(GraphVectorEnv):
         sensor_rate = rate if same else settings.ticks_per_second
         noise = tuple(c.noise_sd if settings.noise else 0.0 for c in self.system.measurements)
         sensor = Sensor(self.system, sensor_rate, noise)
+        world = World(
+            self.system,
+            settings.ticks_per_second,
+            settings.integrator,
+            self.task.command_limits,
+            self.task.speed_limit,
+        )
         nodes = [
-            World(
-                self.system,
-                settings.ticks_per_second,
-                settings.integrator,
-                self.task.command_limits,
-                self.task.speed_limit,
-            ),
+            world,
             sensor,
             TaskAgent(
                 self.system,
@@ -143,7 +145,7 @@ class DelayGraphVectorEnv(GraphVectorEnv):
         )
         window = command_window(actuation, rate, settings.ticks_per_second, further)
         connections = [
-            Connection("world", "sensor", window=sensor.states_between(settings.ticks_per_second)),
+            wide_enough(Connection("world", "sensor"), world, sensor),
             Connection("world", "agent", name="truth"),
             Connection("agent", "world", delay=actuation, window=window, skip=True),
         ]

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from fractions import Fraction
+from typing import Self
 
 import torch
 from torch import Tensor
 
 from deepkoco.envs.tasks import Task
-from deepkoco.graph import Input, Supervisor
+from deepkoco.graph import GraphError, Input, Supervisor
 from deepkoco.graph.model.node import State
 from deepkoco.systems import Parameters, System
 
@@ -32,6 +34,7 @@ class TaskAgent(Supervisor):
     """
 
     inputs = ("truth", "sensor")
+    free_rate = True
 
     def __init__(
         self,
@@ -47,6 +50,14 @@ class TaskAgent(Supervisor):
         self.scene, self.task, self.history, self.scale = scene, task, history, tuple(scale)
         self.observations = observations
         self.centre = (0.0,) * self.width if centre is None else tuple(centre)
+
+    def at_rate(self, rate: float | Fraction) -> Self:
+        if self._checked_rate(rate) != self.rate:
+            raise GraphError(
+                f'node "{self.name}": its {float(self.rate):g} Hz are those of its task; make the environment with a '
+                "task of another control_rate"
+            )
+        return super().at_rate(rate)
 
     def init(self, parameters: Parameters, generator: torch.Generator, batch: int) -> State:
         state = {

@@ -136,6 +136,24 @@ from .model.node import (
 from .model.node import (
     Supervisor as Supervisor,
 )
+from .setup import (
+    SetupError as SetupError,
+)
+from .setup import (
+    apply_parameters as apply_parameters,
+)
+from .setup import (
+    apply_setup as apply_setup,
+)
+from .setup import (
+    describe_setup as describe_setup,
+)
+from .setup import (
+    read_setup as read_setup,
+)
+from .setup import (
+    write_setup as write_setup,
+)
 from .timing.computation_graph import (
     ComputationGraph as ComputationGraph,
 )

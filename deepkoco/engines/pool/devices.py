@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from deepkoco.graph import Input, Node
+from deepkoco.graph import Connection, Input, Node
 from deepkoco.graph.model.node import Parameters, State
 from deepkoco.systems.fluids import pool_parameters
 
@@ -28,6 +28,7 @@ class Actuator(Node):
     """
 
     inputs = ("command",)
+    free_rate = True
 
     def __init__(self, name: str, rate: float, entry: int, low: float = 0.0, idle: float = 0.0) -> None:
         super().__init__(name, rate)
@@ -59,7 +60,7 @@ class Probe(Node):
 
     Args:
         rate: Messages per second [Hz].
-        world_rate: Ticks of the world per second [Hz]; connect it with a window of `states_between`.
+        world_rate: Ticks of the world per second [Hz]; connect it with a window of `least_window`.
         noise_sd: Of the temperature [K].
         flow_noise: Standard deviation of the flow, as a share of it.
     """
@@ -72,7 +73,10 @@ class Probe(Node):
     ) -> None:
         super().__init__("probe", rate)
         self.noise_sd, self.flow_noise, self.tick = noise_sd, flow_noise, 1.0 / world_rate
-        self.states_between = max(round(world_rate / rate), 1)
+
+    def least_window(self, connection: Connection, sender: Node) -> int:
+        """The states of the world between two messages."""
+        return max(round(float(sender.rate / self.rate)), 1)
 
     def init(self, parameters: Parameters, generator: torch.Generator, batch: int) -> State:
         return {

@@ -14,6 +14,7 @@ from deepkoco.engines.pool import Actuator, FlowDelay, PoolWorld, Probe
 from deepkoco.envs.pool.seat import LOWEST_PUMP, PoolSeat
 from deepkoco.graph import Connection, Graph, Node
 from deepkoco.graph.delay import Delay, make_delay
+from deepkoco.graph.model.connection import wide_enough
 from deepkoco.graph.model.node import State
 from deepkoco.systems.fluids import pool_parameters
 from deepkoco.systems.fluids.pool import HEAT_CAPACITY
@@ -82,8 +83,9 @@ def pool_graph(options: PoolOptions | None = None) -> Graph:
     actuation = _law(options.actuation_delay, {"law": "uniform", "low": 0.2, "high": 0.8})
     probe = Probe(CONTROL_RATE, WORLD_RATE, *((0.05, 0.01) if options.noise else (0.0, 0.0)))
     seat = PoolSeat(CONTROL_RATE, options.history, options.controlled, phase=AFTER)
+    world = PoolWorld(WORLD_RATE)
     nodes: list[Node] = [
-        PoolWorld(WORLD_RATE),
+        world,
         Actuator("heater", WORLD_RATE, 0),
         Actuator("pump", WORLD_RATE, 1, LOWEST_PUMP, idle=1.0),
         probe,
@@ -93,7 +95,7 @@ def pool_graph(options: PoolOptions | None = None) -> Graph:
     connections = [
         Connection("heater", "world", window=2),
         Connection("pump", "world", window=2),
-        Connection("world", "probe", window=probe.states_between),
+        wide_enough(Connection("world", "probe"), world, probe),
         Connection("world", "agent", name="truth"),
         Connection("probe", "agent", delay=sensing),
         Connection("agent", "pump", delay=actuation, skip=True, name="command"),

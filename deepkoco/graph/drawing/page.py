@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from deepkoco.graph.drawing.layers import Placement, Size, place
+from deepkoco.graph.drawing.setup_form import setup_form
 from deepkoco.graph.drawing.signals import MOST_ENTRIES, draw_signals, signals_of
 from deepkoco.graph.drawing.style import PALETTE, DrawingError, write_whole
 from deepkoco.graph.drawing.words import connection_words, delay_words, graph_words, loop_words, node_words
@@ -38,6 +39,7 @@ def write_page(
     title: str = "Graph",
     pages: Mapping[str, Path] | None = None,
     made: date | None = None,
+    parameters: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Path:
     """Write the page, whole or not at all.
 
@@ -48,6 +50,7 @@ def write_page(
         title: heading.
         pages: name to file of other pages that may be there, for the navigation.
         made: day that the page says; None takes today's, or that of SOURCE_DATE_EPOCH.
+        parameters: by node and name, to be edited with rates and delays, see `describe_setup`.
 
     Raises:
         DrawingError: the file exists.
@@ -55,7 +58,7 @@ def write_page(
     path = Path(path)
     if path.exists():
         raise DrawingError(f"{path}: exists; choose another name or move it away")
-    page = make_page(graph, episode, title, path, pages, made)
+    page = make_page(graph, episode, title, path, pages, made, parameters)
     write_whole(path, lambda file: file.write(page.encode()))
     return path
 
@@ -67,12 +70,14 @@ def make_page(
     path: Path | None = None,
     pages: Mapping[str, Path] | None = None,
     made: date | None = None,
+    parameters: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> str:
     """Return the page as text; arguments as for `write_page`."""
     placed = _place(graph)
     timeline = None if episode is None else _timeline(graph, episode)
     nodes, edges = _nodes(graph, placed), [_edge(c, placed) for c in graph.connections]
     own = path or Path("graph.html")
+    form = setup_form(graph, parameters)
     return render_page(
         "deepkoco.graph.drawing",
         "pages/page.html",
@@ -88,7 +93,8 @@ def make_page(
         timeline=timeline,
         numbers=None if episode is None else _numbers(graph, episode),
         signals=None if episode is None else _signals(graph, episode),
-        data={"nodes": nodes, "edges": edges, "timeline": timeline},
+        form=form,
+        data={"nodes": nodes, "edges": edges, "timeline": timeline, "form": form},
     )
 
 

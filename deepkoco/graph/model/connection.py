@@ -1,14 +1,14 @@
 """Connections: which output is whose input, and how it travels."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from numbers import Integral
 from typing import Any
 
 from torch import Tensor
 
 from deepkoco.graph.delay import Delay, DelayError, Deterministic, make_delay
-from deepkoco.graph.model.node import GraphError
+from deepkoco.graph.model.node import GraphError, Node
 from deepkoco.graph.model.parts import Parts
 
 JITTERS = ("latest", "buffer")
@@ -77,3 +77,8 @@ class Connection:
     def law(self) -> Delay:
         """The communication delay as a law."""
         return make_delay(self.delay)
+
+
+def wide_enough(connection: Connection, sender: Node, receiver: Node) -> Connection:
+    """Return the connection with a window of at least what the receiver needs, see `Node.least_window`."""
+    return replace(connection, window=max(connection.window, receiver.least_window(connection, sender)))

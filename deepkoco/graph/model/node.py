@@ -1,16 +1,20 @@
 """Nodes: what runs at a rate, and what it sees of the other nodes."""
 
+import copy
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from fractions import Fraction
 from numbers import Real
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 import torch
 from torch import Tensor
 
 from deepkoco.graph.delay import Delay, DelayError, exact_fraction, make_delay
 from deepkoco.graph.model.parts import Declared
+
+if TYPE_CHECKING:
+    from deepkoco.graph.model.connection import Connection
 
 State = dict[str, Tensor]
 Parameters = Mapping[str, Tensor]
@@ -73,6 +77,10 @@ class Node(ABC):
     wall-clock) fail on such an output and do not send it. A sensor that says "no data" with NaN says False. Of
     the supervisor it is about the actions."""
 
+    free_rate: ClassVar[bool] = False
+    """Whether nothing that the node holds was worked out from rates, its own or its senders'; only `rate` tells its
+    own. A class without an `__init__` of its own need not say so."""
+
     def __init__(
         self,
         name: str,
@@ -82,14 +90,12 @@ class Node(ABC):
         advance: bool = False,
         phase: float | Fraction | None = None,
     ) -> None:
-        if not isinstance(rate, Real) or not 0 < rate < float("inf"):
-            raise GraphError(f'node "{name}": rate {rate} Hz is no positive number')
+        self.name = name
+        self.rate = self._checked_rate(rate)
         if scheduling not in SCHEDULINGS:
             raise GraphError(f'node "{name}": scheduling "{scheduling}" is none of {", ".join(SCHEDULINGS)}')
         if phase is not None and not (isinstance(phase, Real) and 0 <= phase < float("inf")):
             raise GraphError(f'node "{name}": phase {phase} s is no number >= 0')
-        self.name = name
-        self.rate = exact_fraction(rate)
         try:
             self.delay = make_delay(delay)
         except DelayError as error:
@@ -99,6 +105,42 @@ class Node(ABC):
         self.scheduling = scheduling
         self.advance = advance
         self.phase = None if phase is None else exact_fraction(phase)
+
+    def _checked_rate(self, rate: Any) -> Fraction:
+        if not isinstance(rate, Real) or not 0 < float(rate) < float("inf"):
+            raise GraphError(f'node "{self.name}": rate {rate} Hz is no positive number')
+        return exact_fraction(rate)  # pyright: ignore[reportArgumentType]
+
+    def at_rate(self, rate: float | Fraction) -> Self:
+        """Return a node like this one that runs at another rate [Hz].
+
+        A class that works out something from its rate when it is made overrides this.
+
+        Raises:
+            GraphError: the rate is no positive number, or nobody says that the class can do so.
+        """
+        new = self._checked_rate(rate)
+        if new != self.rate:
+            self.check_free(f"its rate of {float(self.rate):g} Hz")
+        node = copy.copy(self)
+        node.rate = new
+        return node
+
+    def check_free(self, what: str) -> None:
+        """Check that the node has worked out nothing from rates.
+
+        Raises:
+            GraphError: it may have, says that `what` must stay, and the way out.
+        """
+        if not self.free_rate and type(self).__init__ not in _PLAIN:
+            raise GraphError(
+                f'node "{self.name}": its class {type(self).__name__} may have worked out something from {what} when '
+                "it was made; change the rate there, or say free_rate = True in the class if it has not"
+            )
+
+    def least_window(self, connection: "Connection", sender: "Node") -> int:
+        """How many of the last messages of a connection its steps must see, so that it misses none that it needs."""
+        return 1
 
     def init(self, parameters: Parameters, generator: torch.Generator, batch: int) -> State:
         """Return the state before the first step, every tensor (B, ...); no state unless overridden."""
@@ -178,3 +220,6 @@ class Supervisor(Node):
 
     def step(self, parameters: Parameters, state: State, inputs: dict[str, Input]) -> tuple[State, Tensor]:
         raise GraphError(f'supervisor "{self.name}" does not step: its action comes from outside')
+
+
+_PLAIN = (Node.__init__, Supervisor.__init__)  # they keep the rate and derive nothing from it

@@ -65,6 +65,8 @@ class RecordedNode(Node):
         kind: class of the node that was recorded.
     """
 
+    free_rate = True
+
     def __init__(self, name: str, rate: Fraction, *, kind: str, **options: Any) -> None:
         super().__init__(name, rate, **options)
         self.kind = kind
