@@ -16,7 +16,6 @@ from deepkoco.diagnose.causes import catalogue, causes_named, measured_channels,
 from deepkoco.diagnose.data import MIN_TRAINING_WINDOWS, cut_data
 from deepkoco.diagnose.diagnosis import Diagnosis
 from deepkoco.diagnose.evidence.selection import DETECTION
-from deepkoco.diagnose.explanation import explain
 from deepkoco.diagnose.healthy import learn_baseline
 from deepkoco.diagnose.longer_windows import on_longer_windows
 from deepkoco.diagnose.probability.shadow import with_evidence
@@ -26,7 +25,7 @@ from deepkoco.diagnose.time_limit import TimeLimit
 from deepkoco.diagnose.verdict.elastic_drives import with_elastic_drives
 from deepkoco.diagnose.verdict.judgement import judge
 from deepkoco.diagnose.verdict.result import diagnosis_of, insufficient
-from deepkoco.diagnose.weighed import weigh
+from deepkoco.diagnose.weighed import explained
 from deepkoco.diagnose.window_choice import followed_length, length_for_enough
 from deepkoco.fit.data.windows import window_length
 from deepkoco.fit.solve.scaled_inverse import DivergedError
@@ -143,7 +142,7 @@ def diagnose(
 
 def _diagnosed(request: DiagnosisRequest, start: Baseline, unfitted: Sequence[str] = ()) -> Diagnosis:
     """Diagnose from one baseline: refit it and select causes, judge them, and build the result."""
-    explanation = weigh(request, explain(request, start, unfitted))
+    explanation = explained(request, start, unfitted)
     request, explanation = on_longer_windows(request, explanation)
     judgement = judge(request, explanation)
     request, explanation, judgement = with_elastic_drives(request, explanation, judgement)

@@ -9,7 +9,7 @@ from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.evidence.back_to_prior import back_to_prior
 from deepkoco.diagnose.evidence.far_parameters import with_far_parameters
-from deepkoco.diagnose.evidence.forward import Selection
+from deepkoco.diagnose.evidence.forward import First, Selection
 from deepkoco.diagnose.evidence.ranking import Ranking
 from deepkoco.diagnose.evidence.selected import Selected
 from deepkoco.diagnose.finer_steps import on_finer_steps, overtaken, steps_of_rivals
@@ -18,6 +18,7 @@ from deepkoco.diagnose.probability.answer import Answer
 from deepkoco.diagnose.refitted import Refitted, refit_to_logs
 from deepkoco.diagnose.request import DiagnosisRequest
 from deepkoco.diagnose.residuals.residuals import missing_torque
+from deepkoco.fit.fit import Fit
 
 MOST_EXTENSIONS = 3  # times that causes consistent with the healthy logs join the baseline
 
@@ -45,8 +46,40 @@ class Explanation:
     weighed: bool = False
 
 
+@dataclass(frozen=True)
+class Begun:
+    """A refitted baseline with the first ranking of the causes, before any of them is accepted.
+
+    Attributes:
+        base: The refitted baseline; its reference is that of the ranking.
+        refit: Its refit before the ranking found a better one.
+        selection: The selection.
+        first: The ranking.
+    """
+
+    base: Refitted
+    refit: Fit
+    selection: Selection
+    first: First
+
+
+def begun(request: DiagnosisRequest, learned: Baseline) -> Begun:
+    """Refit a baseline and rank the causes for the first time.
+
+    Args:
+        request: The logs, and the causes to try.
+        learned: The baseline, as given or as learned from healthy logs.
+    """
+    request.progress("refit of the simulation as given")
+    return _ranked(request, refit_to_logs(learned, request.data))
+
+
 def explain(
-    request: DiagnosisRequest, learned: Baseline, unfitted: Sequence[str] = (), joined: tuple[str, ...] = ()
+    request: DiagnosisRequest,
+    learned: Baseline,
+    unfitted: Sequence[str] = (),
+    joined: tuple[str, ...] = (),
+    at: Begun | None = None,
 ) -> Explanation:
     """Refit a baseline, select causes, and repeat while these are consistent with the healthy logs.
 
@@ -55,12 +88,13 @@ def explain(
         learned: The baseline, as given or as learned from healthy logs.
         unfitted: What could not be fitted so far, in words.
         joined: Names of causes that joined the baseline before.
+        at: Its first ranking; None makes it.
     """
     progress, more = request.progress, MOST_EXTENSIONS
     while True:
-        progress("refit of the simulation as given")
-        base = refit_to_logs(learned, request.data)
-        selection, first, found = _selected(request, base)
+        at = begun(request, learned) if at is None else at
+        base = replace(at.base, reference=at.refit)
+        selection, first, found = _selected(request, at)
         base = replace(base, reference=first.reference)
         doubt = steps_of_rivals(base, found)
         if doubt.parts > 1 and request.limit.allows("the causes on finer steps"):
@@ -68,7 +102,7 @@ def explain(
             finer = on_finer_steps(base, doubt.parts)
             if finer is not base and overtaken(finer, found, doubt):
                 base = finer
-                selection, first, found = _selected(request, base)
+                selection, first, found = _selected(request, _ranked(request, base))
                 base = replace(base, reference=first.reference)
         causes = seen_before(request, selection, found) if more else []
         if not causes:
@@ -79,11 +113,11 @@ def explain(
             return of_mean(Explanation(base, first, found, joined, (*unfitted, *first.unfitted)))
         more -= 1
         joined = (*joined, *(c.name for c in causes if c.name not in joined))
-        learned = extended(base.start, causes)
+        learned, at = extended(base.start, causes), None
 
 
-def _selected(request: DiagnosisRequest, base: Refitted) -> tuple[Selection, Ranking, Selected]:
-    """Select causes on a refitted baseline; return the selection with its first ranking and result."""
+def _ranked(request: DiagnosisRequest, base: Refitted) -> Begun:
+    """Rank the causes on a refitted baseline for the first time."""
     selection = Selection(
         base.start,
         base.train,
@@ -93,7 +127,14 @@ def _selected(request: DiagnosisRequest, base: Refitted) -> tuple[Selection, Ran
         request.progress,
         request.limit,
     )
-    first, found = selection.run(base.reference, missing_torque(base.problem, base.reference))
+    first = selection.first_ranking(base.reference, missing_torque(base.problem, base.reference))
+    return Begun(replace(base, reference=first.ranking.reference), base.reference, selection, first)
+
+
+def _selected(request: DiagnosisRequest, at: Begun) -> tuple[Selection, Ranking, Selected]:
+    """Select causes after the first ranking; return the selection with its first ranking and result."""
+    base, selection = at.base, at.selection
+    first, found = selection.go_on(at.first)
     if base.start.tempering > 1.0 and request.limit.allows("parameters that the refit moved far"):
         request.progress("parameters that the refit moved far")
         found = with_far_parameters(base.start, found, request.causes)

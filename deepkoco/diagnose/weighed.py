@@ -19,20 +19,27 @@ import numpy as np
 
 from deepkoco.diagnose.baseline import LONG, Baseline
 from deepkoco.diagnose.causes import Cause
-from deepkoco.diagnose.data_sheet import guessed, with_usual_spread
+from deepkoco.diagnose.data_sheet import with_usual_spread
 from deepkoco.diagnose.evidence.classes import APART
 from deepkoco.diagnose.evidence.forward import Selection
 from deepkoco.diagnose.evidence.minor import Minor
 from deepkoco.diagnose.evidence.selection import DETECTION
-from deepkoco.diagnose.explanation import MOST_EXTENSIONS, Explanation, explain, of_mean, seen_before
+from deepkoco.diagnose.explanation import (
+    MOST_EXTENSIONS,
+    Explanation,
+    begun,
+    explain,
+    of_mean,
+    seen_before,
+)
 from deepkoco.diagnose.healthy import extended
 from deepkoco.diagnose.little_of_all import usual_sizes, with_little, with_little_of_all
+from deepkoco.diagnose.nothing_at_once import Weights, are_weighed, nothing_at_once, weights_before
 from deepkoco.diagnose.probability.answer import Answer
-from deepkoco.diagnose.probability.shadow import answer_of, log_prior_of_losses, of_rough_sheet
+from deepkoco.diagnose.probability.shadow import answer_of, log_prior_of_losses
 from deepkoco.diagnose.request import DiagnosisRequest
 from deepkoco.diagnose.residuals.residuals import dispersion, missing_torque
 from deepkoco.fit.fit import Fit, Trial
-from deepkoco.fit.solve.lazy_batch import MANY
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.systems import Parameter
 
@@ -41,27 +48,58 @@ PLAUSIBLE = math.log(100.0)  # nats behind the best from which an explanation's 
 SOME = 0.2  # of that standard deviation, from which a fit needs an effect
 FAR_ABOVE = 2.0  # chi2 per sample, in floors, of a fit that does not explain a log to its noise
 FEW = 3.0  # standard deviations of what any unit has of an effect, up to which a fit has a little of it
-ROUGH = math.log(0.1 / 0.9)  # log prior odds that a data sheet is rough
 
 
-def weigh(request: DiagnosisRequest, explanation: Explanation, more: int = MOST_EXTENSIONS) -> Explanation:
+def explained(
+    request: DiagnosisRequest,
+    learned: Baseline,
+    unfitted: Sequence[str] = (),
+    joined: tuple[str, ...] = (),
+    more: int = MOST_EXTENSIONS,
+) -> Explanation:
+    """Return what explains the logs; of a unit of a model file, what weighs most.
+
+    Args:
+        request: The logs, and the causes to try.
+        learned: The baseline, as given or as learned from healthy logs.
+        unfitted: What could not be fitted so far, in words.
+        joined: Names of causes that joined the baseline before.
+        more: Times that causes may still join it because the healthy logs are consistent with them.
+    """
+    at = begun(request, learned)
+    weights = weights_before(request, at)
+    if weights is not None:
+        nothing = nothing_at_once(request, at, weights, unfitted, joined)
+        if nothing is not None:
+            return _nothing(with_little_of_all(request, nothing, request.causes))
+    return weigh(request, explain(request, learned, unfitted, joined, at), more, weights)
+
+
+def weigh(
+    request: DiagnosisRequest,
+    explanation: Explanation,
+    more: int = MOST_EXTENSIONS,
+    before: Weights | None = None,
+) -> Explanation:
     """Return the explanation that weighs most for a unit of a model file; other explanations stay as they are.
 
     Args:
         request: The logs.
         explanation: Causes that were selected on the refit.
         more: Times that causes may still join the baseline because the healthy logs are consistent with them.
+        before: Weights from before the selection, which hold where the refit is still the same; None for none.
     """
     base, found = explanation.base, explanation.found
-    many = len(base.reference.free) + base.train.state.shape[1] >= MANY
-    if many or base.start.tempering > 1.0 or not guessed(base.start):
+    if not are_weighed(base):
         return explanation
     if not request.limit.allows("weighing the data sheet"):
         return explanation
     request.progress("weighing the data sheet")
     causes = request.causes
     try:
-        answer, lossy, charge = answer_of(request, base), False, 0.0
+        if before is None or not before.hold(base):
+            before = Weights.of(request, base)
+        answer, lossy, charge = before.answer, False, 0.0
         if found.lost is not None:
             with_losses = answer_of(request, base, found.acting.windows)
             charge = log_prior_of_losses(found.charge, len(causes))
@@ -71,10 +109,8 @@ def weigh(request: DiagnosisRequest, explanation: Explanation, more: int = MOST_
         explanation = replace(explanation, weights=answer)
         if found.plain is not None and not lossy:
             explanation = of_mean(replace(explanation, found=found.plain))
-        if base.learned.healthy is None:
-            rough = of_rough_sheet(base.problem, base.reference, base.start, causes) + ROUGH
-            if rough > top:
-                return explanation
+        if before.rough(causes) > top:
+            return explanation
     except (DivergedError, np.linalg.LinAlgError):
         return explanation
     if UNKNOWN in best.causes:
@@ -186,7 +222,7 @@ def _selected_again(
         return chosen
     joined = (*explanation.joined, *(c.name for c in seen if c.name not in explanation.joined))
     learned = extended(base.start, seen)
-    return weigh(request, explain(request, learned, explanation.unfitted, joined), more - 1)
+    return explained(request, learned, explanation.unfitted, joined, more - 1)
 
 
 def _within(start: Baseline, sizes: Sequence[Parameter], fit: Fit) -> bool:

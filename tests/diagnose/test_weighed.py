@@ -192,8 +192,13 @@ def test_damping_within_its_guessed_prior_is_named_and_what_any_unit_has_is_not(
     system = load_system(path)
     times = []
     for seed in (4, 5, 6):
-        healthy = diagnose([log_of(seed=seed)], system, evidence=True)
+        steps: list[str] = []
+        healthy = diagnose([log_of(seed=seed)], system, evidence=True, progress=steps.append)
         assert (healthy.verdict, healthy.causes) == ("nothing", ())
+        # No name is looked for where none can follow: causes are taken into the fit as they come.
+        assert not any("again" in step for step in steps)
+        chosen = [k for k, step in enumerate(steps) if step.startswith("class of")]
+        assert all(k > steps.index("weighing the data sheet") for k in chosen)
         # The report shows the weights with which this was decided: no cause weighs as much.
         assert healthy.evidence is not None
         times.append(healthy.evidence["nothing"] / max(c["probability"] for c in healthy.evidence["causes"]))

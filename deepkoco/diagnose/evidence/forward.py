@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -53,11 +54,22 @@ MOST_TOLERATED = 2  # causes within their tolerance that a fit contains beside o
 FITTED_TO_ERROR = 0.1
 
 
+class First(NamedTuple):
+    """The first ranking of a selection, and the data from which its causes chose their starts."""
+
+    ranking: Ranking
+    hints: Hints
+
+
 class Selection(SelectionTask):
     """Selection of causes on top of a refitted baseline."""
 
     def run(self, reference: Fit, missing: Sequence[MissingTorque]) -> tuple[Ranking, Selected]:
         """Return the first ranking (over the whole catalogue) and the selection."""
+        return self.go_on(self.first_ranking(reference, missing))
+
+    def first_ranking(self, reference: Fit, missing: Sequence[MissingTorque]) -> First:
+        """Return the ranking of the whole catalogue on top of a refit."""
         self.before, self.cost = reference.chi2, reference.cost
         hints = self.hints(self.problem, reference, missing)
         self.progress("fitting every cause")
@@ -72,15 +84,20 @@ class Selection(SelectionTask):
             wanted=self.detection,
             cross=True,
         )
+        return First(first, hints)
+
+    def go_on(self, asked: First) -> tuple[Ranking, Selected]:
+        """Return the first ranking, its best candidates fitted to the end, and the selection."""
+        first, hints = asked
         reference = first.reference
         self.before, self.cost = reference.chi2, reference.cost
         nothing = Selected(reference, (), (), self.problem)
         forward = self._forward(nothing, first, hints)
         first = on_refit(forward.steps) or first
-        plain = self._pruned(forward)
+        plain = self._pruned(forward) if self.naming else forward
         lossy = self._with_losses(nothing, forward, plain)
         if lossy is None:
-            found = self._with_losses_in_class(plain)
+            found = self._with_losses_in_class(plain) if self.naming else plain
         else:
             found = replace(lossy, plain=self.without_tolerated(replace(plain, minor=forward.minor)))
         return first, self.without_tolerated(replace(found, minor=forward.minor))
@@ -145,11 +162,13 @@ class Selection(SelectionTask):
                 continue
             self.progress(f"class of {ranking.best.cause.name}{in_company_of(names)}")
             ranking = self._refined(problem, ranking, accepted, hints)
-            ranking, members = classed(problem, start, ranking, accepted, self.held)
-            best = lowest_around(problem, start, accepted, ranking.best, ranking.deflation)
-            ranking = replace(ranking, candidates=(best, *ranking.candidates[1:]))
+            members: tuple[str, ...] = (ranking.best.cause.name,)
+            if self.naming:
+                ranking, members = classed(problem, start, ranking, accepted, self.held)
+                best = lowest_around(problem, start, accepted, ranking.best, ranking.deflation)
+                ranking = replace(ranking, candidates=(best, *ranking.candidates[1:]))
             steps.append((ranking, members))
-            accepted.append(best.cause)
+            accepted.append(ranking.best.cause)
             final, ranking = ranking.best.fit, None
         return Selected(final, tuple(accepted), tuple(steps), problem, so_far.lost, charge, minor)
 

@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
 KEPT = 256  # patterns that are kept from tick to tick
 DIFFUSE = 1e8  # prior variance of the initial state of a window, over its posterior variance
@@ -118,25 +119,74 @@ def _cost(plain: Responses, sent: np.ndarray, lost: np.ndarray, price: float) ->
 
 def _grown(plain: Responses, sent: np.ndarray, price: float, shows: float) -> np.ndarray:
     """Return the best pattern of the tick-by-tick search, from residuals without any loss."""
-    change, until, size = plain.change, plain.until, plain.size
+    change, until = np.ascontiguousarray(plain.change), np.ascontiguousarray(plain.until, np.int64)
+    given = np.array(sent, dtype=float)
+    own = _kept_patterns(
+        change, np.ascontiguousarray(plain.residual), until, plain.size, given, price, shows, KEPT
+    )
+    lost = np.zeros(len(until), dtype=bool)
+    lost[own] = True
+    return lost
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _kept_patterns(change, residual, until, size, sent, price, shows, most):
+    """Return the lost ticks of the best pattern; each pattern is the list of its lost ticks with their offsets.
+
+    Args:
+        change, residual, until, size: As of :class:`Responses`.
+        sent: (K + 1,) commands, including the one before the first tick.
+        price: Cost of a lost tick.
+        shows: Possible fall of the cost from which a tick is considered.
+        most: Number of patterns that are kept from tick to tick.
+    """
     ticks = len(until)
-    offset, lost = np.zeros((1, ticks)), np.zeros((1, ticks), dtype=bool)
-    acts, cost = np.full(1, sent[0]), np.zeros(1)
+    now, then = 0, 1  # patterns so far, and those that they become
+    tick, offset = np.empty((2, 2 * most, ticks), np.int64), np.empty((2, 2 * most, ticks))
+    length, cost, acts = np.empty((2, 2 * most), np.int64), np.empty((2, 2 * most)), np.empty((2, 2 * most))
+    count, length[0, 0], cost[0, 0], acts[0, 0] = 1, 0, 0.0, sent[0]
     for k in range(ticks):
-        step = acts - sent[k + 1]
-        may = np.flatnonzero(step**2 * size[k] > shows)
-        parent = np.concatenate([np.arange(len(cost)), may])
-        offset, lost, cost = offset[parent], lost[parent], cost[parent]
-        gone = slice(len(acts), None)
-        offset[gone, k], lost[gone, k] = step[may], True
-        cost[gone] += price
-        acts = np.concatenate([np.full(len(acts), sent[k + 1]), acts[may]])
-        rows = slice(until[k - 1] if k else 0, until[k])
-        cost = cost + ((plain.residual[rows] - offset[:, : k + 1] @ change[rows, : k + 1].T) ** 2).sum(1)
-        if len(cost) > KEPT:
-            best = np.sort(np.argpartition(cost, KEPT)[:KEPT])
-            offset, lost, cost, acts = offset[best], lost[best], cost[best], acts[best]
-    return lost[np.argmin(cost)]
+        # Patterns that go on without a loss keep their numbers; those with one follow.
+        arrived = sent[k + 1]
+        total = count
+        for p in range(count):
+            step = acts[now, p] - arrived
+            if step * step * size[k] > shows:
+                own = length[now, p]
+                tick[now, total, :own], offset[now, total, :own] = tick[now, p, :own], offset[now, p, :own]
+                tick[now, total, own], offset[now, total, own] = k, step
+                length[now, total], cost[now, total] = own + 1, cost[now, p] + price
+                acts[now, total] = acts[now, p]
+                total += 1
+        for p in range(count):
+            acts[now, p] = arrived
+        first = until[k - 1] if k else 0
+        for p in range(total):
+            more = 0.0
+            for row in range(first, until[k]):
+                left = residual[row]
+                for m in range(length[now, p]):
+                    left -= offset[now, p, m] * change[row, tick[now, p, m]]
+                more += left * left
+            cost[now, p] += more
+        if total > most:
+            bar = np.partition(cost[now, :total], most - 1)[most - 1]
+            room, new = most, 0  # for those at the bar, after all below it
+            for p in range(total):
+                room -= cost[now, p] < bar
+            for p in range(total):
+                if not cost[now, p] < bar:
+                    if cost[now, p] > bar or room == 0:
+                        continue
+                    room -= 1
+                own = length[now, p]
+                tick[then, new, :own], offset[then, new, :own] = tick[now, p, :own], offset[now, p, :own]
+                length[then, new], cost[then, new], acts[then, new] = own, cost[now, p], acts[now, p]
+                new += 1
+            now, then, total = then, now, new
+        count = total
+    winner = np.argmin(cost[now, :count])
+    return tick[now, winner, : length[now, winner]].copy()
 
 
 def _turned_over(

@@ -60,6 +60,53 @@ class UnitLoads:
         return UnitLoads(np.maximum(size, 0.0), responses @ ways)
 
 
+@dataclass(frozen=True)
+class KeptColumns:
+    """Columns that stay as they are from one linearisation to the next, with their products.
+
+    Attributes:
+        columns: (W, n, l).
+        loads: Responses to unit missing loads, which stay too.
+        products: (W, l, l) of the columns.
+        along: (W, m, l) of the responses with the columns.
+    """
+
+    columns: np.ndarray
+    loads: UnitLoads
+    products: np.ndarray
+    along: np.ndarray
+
+    @staticmethod
+    def of(columns: np.ndarray, loads: UnitLoads) -> KeptColumns:
+        """Form the products of columns (W, n, l)."""
+        columns = np.ascontiguousarray(columns)
+        turned = loads.turned.transpose(0, 2, 1)
+        return KeptColumns(columns, loads, columns.transpose(0, 2, 1) @ columns, turned @ columns)
+
+    def beside(self, columns: np.ndarray, states: np.ndarray, residual: np.ndarray) -> WindowSums:
+        """Return the sums of other columns, then these, with initial states and residual as of :class:`WindowSums`.
+
+        Args:
+            columns: (W, n, v) that come before these.
+            states: (W, n, S).
+            residual: (W, n).
+        """
+        new = np.concatenate([columns, residual[..., None], states], axis=2)
+        v, kept = columns.shape[2], self.columns.shape[2]
+        size = new.shape[2] + kept
+        place = np.r_[np.arange(v), np.arange(v + kept, size)]
+        middle = slice(v, v + kept)
+        products = np.empty((len(new), size, size))
+        own, across = new.transpose(0, 2, 1) @ new, new.transpose(0, 2, 1) @ self.columns
+        products[:, place[:, None], place] = own
+        products[:, place, middle] = across
+        products[:, middle, place] = across.transpose(0, 2, 1)
+        products[:, middle, middle] = self.products
+        along = np.empty((len(new), self.along.shape[1], size))
+        along[:, :, place], along[:, :, middle] = self.loads.turned.transpose(0, 2, 1) @ new, self.along
+        return WindowSums.known(v + kept, products, self.loads.size, along)
+
+
 def misfit(loads: UnitLoads, residual: np.ndarray, amplitude: float) -> float:
     """Return the squared residual (W, n) of all windows under missing loads; infinite where a simulation diverges.
 
@@ -94,6 +141,20 @@ class WindowSums:
         self._products = both.transpose(0, 2, 1) @ both
         loads = responses if isinstance(responses, UnitLoads) else UnitLoads.of(responses)
         self._size, self._along = loads.size, loads.turned.transpose(0, 2, 1) @ both
+
+    @staticmethod
+    def known(coordinates: int, products: np.ndarray, size: np.ndarray, along: np.ndarray) -> WindowSums:
+        """Return sums from products that are there already.
+
+        Args:
+            coordinates: Number of columns before residual and states.
+            products: (W, k, k) of columns, residual and states.
+            size: (W, m) of the turned responses.
+            along: (W, m, k) products of these with columns, residual and states.
+        """
+        sums = object.__new__(WindowSums)
+        sums.coordinates, sums._products, sums._size, sums._along = coordinates, products, size, along
+        return sums
 
     def products(self, amplitude: float) -> np.ndarray:
         """Return the products (W, k, k) of columns, residual and states under missing loads of this standard deviation.

@@ -17,7 +17,7 @@ from torch import Tensor
 from deepkoco.diagnose.evidence.priors import declared
 from deepkoco.diagnose.probability.coordinates import Catalogue, is_shape
 from deepkoco.diagnose.probability.explanations import Explanation
-from deepkoco.diagnose.probability.gram import UnitLoads, WindowSums, misfit
+from deepkoco.diagnose.probability.gram import KeptColumns, UnitLoads, WindowSums, misfit
 from deepkoco.diagnose.probability.normal import Normal
 from deepkoco.diagnose.probability.unit import UnitPrior
 from deepkoco.fit.fit import Fit, FitProblem
@@ -57,6 +57,11 @@ class Fixed:
     def loads(self) -> UnitLoads:
         """The responses, for the products of every refit."""
         return UnitLoads.of(self.responses)
+
+    @cached_property
+    def kept(self) -> KeptColumns:
+        """The linear columns with their products, for every refit."""
+        return KeptColumns.of(self.linear, self.loads)
 
     @cached_property
     def priors(self) -> dict[int, Normal]:
@@ -322,11 +327,10 @@ def _equations(problem, fixed, refit, value, weights, tangent, predicted) -> _Eq
     slopes, residual = slopes.permute(1, 2, 0).numpy(), residual.numpy() - fixed.linear @ weights
     distinct = list(dict.fromkeys(refit.names))
     columns = slopes[:, :, [distinct.index(n) for n in refit.names]]
-    columns = np.concatenate([columns, fixed.linear], axis=2)
-    sums = WindowSums(columns, slopes[:, :, len(distinct) :], fixed.loads, residual)
+    sums = fixed.kept.beside(columns, slopes[:, :, len(distinct) :], residual)
     precision, offset, penalty = _prior(problem, fixed, refit, value, weights)
     products = sums.products(_amplitude(fixed, refit))
-    z = columns.shape[2]
+    z = sums.coordinates
     cost = float(products[:, z, z].sum()) + penalty
     return _Equations(products, precision, offset, cost, len(value), sums) if np.isfinite(cost) else None
 

@@ -12,10 +12,10 @@ from dataclasses import replace
 from deepkoco.diagnose.baseline import baseline_from, with_gauges_fixed
 from deepkoco.diagnose.causes import Cause, catalogue, kind_of, measured_channels, shown_causes
 from deepkoco.diagnose.data import MIN_TRAINING_WINDOWS, cut_data
-from deepkoco.diagnose.explanation import Explanation, explain
+from deepkoco.diagnose.explanation import Explanation
 from deepkoco.diagnose.request import DiagnosisRequest
 from deepkoco.diagnose.verdict.judgement import Judgement, judge
-from deepkoco.diagnose.weighed import weigh
+from deepkoco.diagnose.weighed import explained
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.systems import ExtendedSystem, System
 from deepkoco.systems.stretchable import KIND, STATES, may_stretch, stretchable
@@ -84,7 +84,7 @@ def _shown(plain: System, request: DiagnosisRequest) -> list[Cause]:
 def _explained(request: DiagnosisRequest) -> Explanation:
     train = request.data.train
     start = with_gauges_fixed(baseline_from(request.system, train), train)
-    return weigh(request, explain(request, start))
+    return explained(request, start)
 
 
 def _named(explanation: Explanation) -> bool:

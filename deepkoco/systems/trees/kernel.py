@@ -32,7 +32,7 @@ from deepkoco.systems.trees.newton_euler_kernel import (
 )
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "59643e1337b57e22"
+COMPILED_WITH = "51b7c27b90f4b40f"
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

@@ -12,7 +12,7 @@ from deepkoco.systems.trees.block_sizes import LANES
 from deepkoco.systems.trees.newton_euler_kernel import COS, INERTIA, LOAD, OFFSET, SIN
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "9cc9501cd162c25c"
+COMPILED_WITH = "a7a1de9f9998b7c3"
 
 
 @njit(inline="always", error_model="numpy")
@@ -156,3 +156,15 @@ def solve(s, mass, parent):
             for i in range(LANES):
                 s[k, LOAD, i] -= mass[k, p, i] * s[p, LOAD, i]
             p = parent[p]
+
+
+@njit(inline="always", error_model="numpy")
+def accelerate_at_base(s, mass, turns, inertia, passive):
+    """LOAD -> acceleration of joints that the base carries and that carry no others: the mass matrix is diagonal."""
+    for k in range(len(turns)):
+        h = turns[k]
+        slide = 1.0 - h
+        for i in range(LANES):
+            mass[k, k, i] = 1.0 / (h * inertia[k, 6, i] + slide * inertia[k, 0, i] + passive[k, 0, i])
+        for i in range(LANES):
+            s[k, LOAD, i] *= mass[k, k, i]

@@ -169,3 +169,29 @@ def gather_forces(s, spare, parent, turns, rotation):
         for row in range(6):
             for i in range(LANES):
                 s[p, FORCE + row, i] += spare[row, i]
+
+
+@njit(inline="always", error_model="numpy")
+def take_pull_at_base(s, spare, turns, rotation, inertia):
+    """Take their share from LOAD of joints that the base carries and that carry no others.
+
+    The base rests, so the frame of such a joint has no speed but its own, about its own axis. All products with
+    speeds of the base are 0, and what is left of :func:`move_frames` and :func:`gather_forces` is the pull of gravity.
+    """
+    base = len(turns)
+    for row in range(3):
+        for i in range(LANES):
+            spare[row, i] = s[base, PULL + row, i]
+    for k in range(len(turns)):
+        h = turns[k]
+        slide = 1.0 - h
+        e0, e1, e2 = rotation[k, 0], rotation[k, 1], rotation[k, 2]
+        e3, e4, e5 = rotation[k, 3], rotation[k, 4], rotation[k, 5]
+        e6, e7, e8 = rotation[k, 6], rotation[k, 7], rotation[k, 8]
+        for i in range(LANES):
+            c, t = s[k, COS, i], s[k, SIN, i]
+            a0, a1, a2 = spare[0, i], spare[1, i], spare[2, i]
+            x, y = e0 * a0 + e3 * a1 + e6 * a2, e1 * a0 + e4 * a1 + e7 * a2
+            along = inertia[k, 0, i] * (e2 * a0 + e5 * a1 + e8 * a2)
+            about = inertia[k, 1, i] * (c * y - t * x) - inertia[k, 2, i] * (c * x + t * y)
+            s[k, LOAD, i] -= h * about + slide * along

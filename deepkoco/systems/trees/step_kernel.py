@@ -10,7 +10,13 @@ from numba import njit
 from deepkoco.systems.trees.block_sizes import LANES, in_lanes, in_rows
 from deepkoco.systems.trees.effect_kernel import add_levels, add_loads, deliver
 from deepkoco.systems.trees.force_kernel import add_joint_loads
-from deepkoco.systems.trees.mass_matrix_kernel import factorise, fill_mass, gather_inertias, solve
+from deepkoco.systems.trees.mass_matrix_kernel import (
+    accelerate_at_base,
+    factorise,
+    fill_mass,
+    gather_inertias,
+    solve,
+)
 from deepkoco.systems.trees.newton_euler_kernel import (
     COS,
     INERTIA,
@@ -22,11 +28,12 @@ from deepkoco.systems.trees.newton_euler_kernel import (
     gather_forces,
     move_frames,
     place_frames,
+    take_pull_at_base,
 )
 from deepkoco.systems.uncounted import UNCOUNTED
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "a5aa48eee7cd6189"
+COMPILED_WITH = "7aea5c6556082f68"
 
 
 @njit(**UNCOUNTED)
@@ -71,9 +78,6 @@ def accelerations(
         for i in range(LANES):
             s[k, COS, i] = angle[k, i]
             s[k, LOAD, i] = 0.0
-        for row in range(10):
-            for i in range(LANES):
-                s[k, INERTIA + row, i] = inertia[k, row, i]
     deliver(drives, gear, law, angle, speed, effort, forces)
     for a in range(len(drives)):
         k = drives[a]
@@ -111,12 +115,23 @@ def accelerations(
                 for i in range(LANES):
                     s[k, LOAD, i] -= level[k, i] * direction[k, i]
     place_frames(s, turns, rotation, offset, reference, angle, 0, LANES)
-    move_frames(s, spare, parent, turns, rotation, speed)
-    gather_forces(s, spare, parent, turns, rotation)
-    gather_inertias(s, spare, parent, rotation)
-    fill_mass(s, spare, mass, parent, turns, rotation, passive, which)
-    factorise(mass, parent)
-    solve(s, mass, parent)
+    alone = True
+    for k in range(joints):
+        alone &= parent[k] == joints
+    if alone:
+        take_pull_at_base(s, spare, turns, rotation, inertia)
+        accelerate_at_base(s, mass, turns, inertia, passive)
+    else:
+        for k in range(joints):
+            for row in range(10):
+                for i in range(LANES):
+                    s[k, INERTIA + row, i] = inertia[k, row, i]
+        move_frames(s, spare, parent, turns, rotation, speed)
+        gather_forces(s, spare, parent, turns, rotation)
+        gather_inertias(s, spare, parent, rotation)
+        fill_mass(s, spare, mass, parent, turns, rotation, passive, which)
+        factorise(mass, parent)
+        solve(s, mass, parent)
     for k in range(joints):
         for i in range(LANES):
             result[k, i] = s[k, LOAD, i]

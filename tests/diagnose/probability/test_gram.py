@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from deepkoco.diagnose.probability.gram import UnitLoads, WindowSums, misfit
+from deepkoco.diagnose.probability.gram import KeptColumns, UnitLoads, WindowSums, misfit
 from deepkoco.diagnose.probability.normal import Changes, Normal
 
 FLAT = 1e4  # standard deviation that stands for a flat prior
@@ -32,6 +32,17 @@ def dense(parts, amplitude: float, sd: np.ndarray, mean: np.ndarray) -> float:
     found = scipy.stats.multivariate_normal(tall @ mean, covariance).logpdf(residual.ravel())
     constant = 0.5 * windows * samples * np.log(2.0 * np.pi)
     return found + constant + windows * states.shape[2] * np.log(FLAT)
+
+
+@pytest.mark.parametrize("amplitude", [0.0, 0.7])
+def test_sums_beside_kept_columns_are_those_of_all_columns(amplitude):
+    columns, states, responses, residual = problem(5, coordinates=6)
+    wanted = WindowSums(columns, states, responses, residual)
+    found = KeptColumns.of(columns[:, :, 2:], UnitLoads.of(responses)).beside(
+        columns[:, :, :2], states, residual
+    )
+    assert found.coordinates == wanted.coordinates
+    np.testing.assert_allclose(found.products(amplitude), wanted.products(amplitude), rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("amplitude", [0.0, 0.3, 4.0])

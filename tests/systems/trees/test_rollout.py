@@ -103,6 +103,50 @@ def test_compiled_rollout_takes_the_steps_of_the_simulator(arm, kind, monkeypatc
     assert 0.0 < sticks < 1.0
 
 
+BESIDE = """
+<mujoco model="beside">
+  <worldbody>
+    <body name="rail" pos="0 0 1" euler="20 10 0">
+      <joint name="cart" type="slide" axis="1 0 1" damping="2" frictionloss="0.8"/>
+      <inertial pos="0.1 0 0.05" mass="2" diaginertia="0.02 0.02 0.02"/>
+    </body>
+    <body name="arm" pos="0 1 0" euler="5 30 0">
+      <joint name="swing" axis="0.2 1 0" damping="0.05" armature="0.01" frictionloss="0.1"/>
+      <inertial pos="0.05 0.02 -0.2" mass="0.7" diaginertia="0.01 0.02 0.001"/>
+    </body>
+    <body name="wheel" pos="0 2 0">
+      <joint name="wheel" axis="0 0 1" damping="0.02"/>
+      <inertial pos="0 0 0" mass="0.7" diaginertia="0.01 0.02 0.01"/>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor name="m_cart" joint="cart" ctrlrange="-10 10"/>
+    <motor name="m_swing" joint="swing" ctrlrange="-2 2"/>
+  </actuator>
+</mujoco>
+"""
+
+
+def test_joints_that_the_base_carries_alone_take_the_steps_of_the_simulator(tmp_path, monkeypatch):
+    path = tmp_path / "beside.xml"
+    path.write_text(BESIDE)
+    three = TreeSystem.from_file(path)
+    rng = np.random.default_rng(8)
+    values = {
+        p.name: torch.from_numpy(p.value + 0.3 * p.prior_sd * rng.uniform(-1.0, 1.0, LANES))
+        for p in three.parameters
+    }
+    windows = three_windows(three, rng)
+    start = torch.from_numpy(rng.normal(size=(LANES, 3, 6)) * [0.1, 2.0, 0.5, 0.3, 1.0, 1.0])
+    compiled = integrate(three, windows, values, start)
+    assert three.rollout(values) is not None
+    steps_in_torch(monkeypatch)
+    expected = integrate(three, windows, values, start)
+    for part, other in zip(compiled, expected, strict=True):
+        for own, wanted in zip(part, other, strict=True):
+            torch.testing.assert_close(own, wanted, rtol=1e-8, atol=1e-9)
+
+
 @pytest.mark.parametrize(
     "joint", ["cart", "shoulder", "elbow"]
 )  # one slides, one has a servo, one has no actuator

@@ -1,0 +1,140 @@
+"""A healthy unit of a model file: weights say "nothing" before any cause is selected, and the selection is left out.
+
+The selection takes most of the time of a diagnosis: it compares what is alike, fits classes from many starts and tries
+further causes beside those that it has accepted. Most of it is about names. Explanations are weighed on the refit
+alone (:mod:`deepkoco.diagnose.weighed`), so they can be weighed first. Where "nothing" weighs most, what was selected
+is given up afterwards: it stays in the fit, and no name follows. Then the fit alone is wanted. It takes in the best
+cause of each ranking, whatever is alike, and holds if it leaves only noise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from deepkoco.diagnose.causes import Cause
+from deepkoco.diagnose.data_sheet import guessed
+from deepkoco.diagnose.evidence.forward import Selection
+from deepkoco.diagnose.explanation import Begun, Explanation, of_mean
+from deepkoco.diagnose.probability.answer import Answer
+from deepkoco.diagnose.probability.shadow import answer_of, of_rough_sheet
+from deepkoco.diagnose.refitted import Refitted
+from deepkoco.diagnose.request import DiagnosisRequest
+from deepkoco.diagnose.residuals.whiteness import more_than_noise
+from deepkoco.fit.solve.lazy_batch import MANY
+from deepkoco.fit.solve.scaled_inverse import DivergedError
+
+ROUGH = math.log(0.1 / 0.9)  # log prior odds that a data sheet is rough
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Weights of explanations on one refit.
+
+    Attributes:
+        base: The refitted baseline.
+        answer: The weights.
+    """
+
+    base: Refitted
+    answer: Answer
+    _rough: list[float] = field(default_factory=list)
+
+    @staticmethod
+    def of(request: DiagnosisRequest, base: Refitted) -> Weights:
+        """Weigh the explanations on a refit.
+
+        Raises:
+            DivergedError: The simulation diverges.
+            LinAlgError: The logs tell nothing of a parameter.
+        """
+        return Weights(base, answer_of(request, base))
+
+    def hold(self, base: Refitted) -> bool:
+        """Return whether these are the weights on this refit, too."""
+        if base.learned.healthy is not None:
+            # What healthy logs say does not depend on the refit.
+            return base.learned.healthy is self.base.learned.healthy
+        own = self.base
+        return base.reference is own.reference and base.train is own.train and base.start is own.start
+
+    def rough(self, causes: Sequence[Cause]) -> float:
+        """Return the log weight of a rough data sheet; none is asked for with healthy logs.
+
+        Args:
+            causes: The catalogue.
+
+        Raises:
+            DivergedError: No refit stays finite.
+        """
+        base = self.base
+        if base.learned.healthy is not None:
+            return -math.inf
+        if not self._rough:
+            self._rough.append(of_rough_sheet(base.problem, base.reference, base.start, causes) + ROUGH)
+        return self._rough[0]
+
+
+def are_weighed(base: Refitted) -> bool:
+    """Return whether explanations are weighed: for units of a model file with few parameters."""
+    many = len(base.reference.free) + base.train.state.shape[1] >= MANY
+    return not many and base.start.tempering == 1.0 and guessed(base.start)
+
+
+def weights_before(request: DiagnosisRequest, at: Begun) -> Weights | None:
+    """Return the weights on a refit before its causes are selected, where a selection would begin; else None.
+
+    Args:
+        request: The logs.
+        at: The first ranking.
+    """
+    ranking = at.first.ranking
+    begins = bool(ranking.candidates) and ranking.best.delta_bic > request.detection
+    if not begins or not are_weighed(at.base) or not request.limit.allows("weighing the data sheet"):
+        return None
+    request.progress("weighing the data sheet")
+    try:
+        return Weights.of(request, at.base)
+    except (DivergedError, np.linalg.LinAlgError):
+        return None
+
+
+def nothing_at_once(
+    request: DiagnosisRequest,
+    at: Begun,
+    weights: Weights,
+    unfitted: Sequence[str] = (),
+    joined: tuple[str, ...] = (),
+) -> Explanation | None:
+    """Return an explanation for which no name is looked for, if none can be found; else None.
+
+    That needs all of these: "nothing" weighs most, and more than a rough data sheet does; beside the causes that are
+    taken into the fit for their size alone, no more than noise is left; and no pattern of lost commands explains enough
+    beside them.
+
+    Args:
+        request: The logs, and the causes to try.
+        at: The first ranking.
+        weights: Weights on the same refit.
+        unfitted: What could not be fitted so far, in words.
+        joined: Names of causes that joined the baseline before.
+    """
+    base, best = at.base, weights.answer.explanations[0]
+    try:
+        if best.causes or weights.rough(request.causes) > best.log_weight:
+            return None
+    except (DivergedError, np.linalg.LinAlgError):
+        return None
+    start = base.start
+    quick = Selection(
+        start, base.train, base.held, request.causes, request.detection, request.progress, request.limit
+    )
+    quick.naming = False
+    ranking, found = quick.go_on(at.first)
+    if found.lost is not None or more_than_noise(found.final, base.train, start) is not None:
+        return None
+    words = (*unfitted, *ranking.unfitted)
+    return of_mean(Explanation(base, ranking, found, joined, words, weights.answer))
