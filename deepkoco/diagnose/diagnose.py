@@ -27,6 +27,7 @@ from deepkoco.diagnose.verdict.judgement import judge
 from deepkoco.diagnose.verdict.result import diagnosis_of, insufficient
 from deepkoco.diagnose.weighed import explained
 from deepkoco.diagnose.window_choice import followed_length, length_for_enough
+from deepkoco.fit.data.sample_rate import sampled_as
 from deepkoco.fit.data.windows import window_length
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.fit.threads import one_thread
@@ -86,8 +87,9 @@ def diagnose(
     """
     began = time.perf_counter()
     base = stretchable_if_asked(any_system(system), only)
-    plain = base.base if isinstance(base, ExtendedSystem) else base
     recordings, healthy, holdout = (read_logs(logs, base) for logs in (recordings, healthy, holdout))
+    base = sampled_as(base, [*recordings, *healthy, *holdout])
+    plain = base.base if isinstance(base, ExtendedSystem) else base
     all_causes, measured = catalogue(plain), measured_channels([*recordings, *holdout])
     causes = (
         shown_causes(all_causes, measured) if only is None else causes_named(all_causes, only, plain.name)

@@ -33,6 +33,7 @@ from deepkoco.diagnose.residuals.residuals import missing_torque, white_limit
 from deepkoco.diagnose.run_to_run import RunToRun, posterior, unshown, with_ratios, within_bounds
 from deepkoco.diagnose.time_limit import TimeLimit
 from deepkoco.fit.data.per_log_differences import may_differ
+from deepkoco.fit.data.sample_rate import sampled_as
 from deepkoco.fit.data.windows import cut_windows, moving
 from deepkoco.fit.fit import FitProblem
 from deepkoco.fit.solve.dispersion import dispersion
@@ -74,6 +75,7 @@ def learn_baseline(
     """
     limit = TimeLimit() if limit is None else limit
     progress("healthy logs: refit")
+    system = sampled_as(system, recordings)
     windows = cut_windows(recordings, system, length)
     windows = windows.take(moving(windows))
     start = with_gauges_fixed(baseline_from(system, windows), windows)

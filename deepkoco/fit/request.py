@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from deepkoco.fit.data.per_log_differences import may_differ
+from deepkoco.fit.data.sample_rate import sampled_as
 from deepkoco.fit.data.windows import Windows, cut_windows, moving, window_length
 from deepkoco.fit.fit import FitProblem, channel_delays
 from deepkoco.fit.simulate.push import Push
@@ -99,7 +100,7 @@ def make_request(
     varies: Mapping[str, float] | None = None,
 ) -> FitRequest:
     """Check a request and cut the logs into windows. Args and Raises as :func:`deepkoco.fit.fit`."""
-    base = any_system(system)
+    base = sampled_as(any_system(system), recordings)
     known = {p.name: p for p in known_parameters(base)}
     free = tuple(dict.fromkeys(parameters))
     if not free:

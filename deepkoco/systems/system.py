@@ -300,6 +300,17 @@ class System(SignalPath, NamedJoints, Drawn, metaclass=Declared):
         """
         return math.inf
 
+    def sampled_every(self, interval: float) -> System:
+        """The same system, for simulations that are compared with logs of some rate.
+
+        Where its fastest motions are over within a small part of a sample, their simulation need not follow them: it may
+        take longer steps, as long as what such a log shows stays the same. It has the same parameters and channels.
+
+        Args:
+            interval: Time from one measurement to the next [s].
+        """
+        return self
+
     def rollout(self, parameters: Parameters) -> Rollout | None:
         """Simulations along logs as one compiled loop, of the motion of :meth:`free_accelerations`; None for none."""
         return None

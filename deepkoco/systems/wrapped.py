@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from copy import copy
 
 import numpy as np
 from torch import Tensor
@@ -126,6 +127,14 @@ class WrappedSystem(System):
     @property
     def longest_step(self) -> float:
         return self.base.longest_step
+
+    def sampled_every(self, interval: float) -> WrappedSystem:
+        base = self.base.sampled_every(interval)
+        if base is self.base:
+            return self
+        other = copy(self)
+        other.base = base
+        return other
 
     def effort_of(self, commands: Tensor) -> Tensor:
         return self.base.effort_of(commands)

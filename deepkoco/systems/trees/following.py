@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from copy import copy
 from dataclasses import replace
 from pathlib import Path
 
@@ -94,6 +95,14 @@ class FollowingSystem(System):
     actuator_joints = property(lambda self: tuple(self.free.index(j) for j in self.base.actuator_joints))
     load_scales = property(lambda self: tuple(self.base.load_scales[j] for j in self.free))
     load_scale = property(lambda self: max(self.load_scales))
+
+    def sampled_every(self, interval: float) -> FollowingSystem:
+        base = self.base.sampled_every(interval)
+        if base is self.base:
+            return self
+        other = copy(self)
+        other.base = base
+        return other
 
     @property
     def command_joints(self) -> tuple[int, ...]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Sequence
+from copy import copy
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -56,7 +58,7 @@ from deepkoco.systems.trees.rollout import TreeRollout, is_known
 from deepkoco.systems.trees.scalars import Triple, mul, total
 from deepkoco.systems.trees.scales import command_range, delivered, load_scales, motion_loads
 from deepkoco.systems.trees.settings import TreeSettings
-from deepkoco.systems.trees.stiffness import least_inertias, longest_step, refuse_redundant
+from deepkoco.systems.trees.stiffness import Pace, least_inertias, longest_step, pace_of, refuse_redundant
 from deepkoco.systems.trees.tree import Tree, TreeError
 from deepkoco.systems.trees.visible import visible_parameters
 
@@ -67,7 +69,8 @@ class TreeSystem(System):
     M and c follow from the masses, centres of mass and inertias of the bodies. f is the force of the actuators:
     clip((g0 + g1 l + g2 l') u + b0 + b1 l + b2 l') with l = gear q, u clipped to its range and behind a first-order
     filter where the actuator has one. `accelerations` are exactly these; simulations (`derivative`,
-    `free_accelerations`) slow down motions that are too fast for any log, see :mod:`deepkoco.systems.trees.stiffness`.
+    `free_accelerations`) slow down motions that are too fast for any log, see :mod:`deepkoco.systems.trees.stiffness`;
+    those of a system for logs of a known rate (`sampled_every`) slow down what is too fast for these.
     Contacts and limits of joints are not simulated; :attr:`notes` says so where the
     model has any.
 
@@ -109,9 +112,7 @@ class TreeSystem(System):
         self.force_sites = tuple(body.name for body in tree.bodies)
         refuse_redundant(tree, self.origin or self.name)
         least = least_inertias(tree)
-        nominal = Numbers.of(tree, {}, Steadying(least, 0.0))
-        self._longest_step = longest_step(tree, nominal.passive["armature"], nominal.laws)
-        self._steadying = Steadying(least, self._longest_step)
+        self._longest_step, self._steadying = self._at_pace(least, Pace())
         self.tip = settings.tip(self.payload_sites, tip_place(tree))
         self._view = choose_view(tree)
         self._arrays = TreeArrays(tree)
@@ -168,6 +169,22 @@ class TreeSystem(System):
     @property
     def longest_step(self) -> float:
         return self._longest_step
+
+    def sampled_every(self, interval: float) -> TreeSystem:
+        pace, step = pace_of(interval)
+        if self._longest_step >= step:
+            return self
+        other = copy(self)
+        other._longest_step, other._steadying = self._at_pace(self._steadying.least_inertias, pace, step)
+        return other
+
+    def _at_pace(
+        self, least: tuple[float, ...], pace: Pace, longest: float = math.inf
+    ) -> tuple[float, Steadying]:
+        """Return the longest step [s] at a pace, and what decides the armatures that simulations add."""
+        nominal = Numbers.of(self.tree, {}, Steadying(least, 0.0, pace))
+        step = longest_step(self.tree, nominal.passive["armature"], nominal.laws, pace.shown)
+        return min(step, longest), Steadying(least, min(step, longest), pace)
 
     @property
     def delivered_scales(self) -> tuple[tuple[float, str], ...]:

@@ -1,0 +1,118 @@
+"""What simulations follow of a stiff servo's motion, and what logs of some rate show of it."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+pytest.importorskip("mujoco")
+
+from deepkoco.fit.simulate.simulator import predict
+from deepkoco.fit.data.windows import cut_windows
+from deepkoco.logs.recording import Recording, Series
+from deepkoco.systems import ExtendedSystem, any_system
+from deepkoco.systems.trees.stiffness import pace_of
+
+# Swings of about 470 and 510 rad/s, which dry friction alone slows down: many published models of arms are like this.
+STIFF_ARM = """
+<mujoco model="stiff arm">
+  <worldbody>
+    <body name="upper">
+      <inertial pos="0.1 0 0" mass="0.4" diaginertia="2e-4 1e-3 1e-3"/>
+      <joint name="shoulder" axis="0 1 0" damping="1" frictionloss="1"/>
+      <body name="lower" pos="0.2 0 0">
+        <inertial pos="0.06 0 0" mass="0.15" diaginertia="1e-4 4e-4 4e-4"/>
+        <joint name="elbow" axis="0 1 0" damping="0.2" frictionloss="0.3"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <position name="shoulder" joint="shoulder" kp="900" ctrlrange="-2 2"/>
+    <position name="elbow" joint="elbow" kp="200" ctrlrange="-2 2"/>
+  </actuator>
+</mujoco>
+"""
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    path = tmp_path_factory.mktemp("stiff") / "arm.xml"
+    path.write_text(STIFF_ARM)
+    return any_system(str(path))
+
+
+def log_every(interval, system, seconds=6.0):
+    """Goals that swing slowly, held from sample to sample, as measured positions too."""
+    t = np.arange(round(seconds / interval)) * interval
+    goals = [0.5 * np.sin(2.0 * t + k) for k in range(2)]
+    channels = {c.name: Series(t, g, c.unit, "command") for c, g in zip(system.commands, goals, strict=True)}
+    shown = zip(system.measurements, goals, strict=False)
+    return Recording(channels | {c.name: Series(t, g, c.unit, "measurement") for c, g in shown})
+
+
+def simulated(system, log, state):
+    windows = cut_windows([log], system, 1.0)
+    states = state.expand(1, len(windows), -1).clone()
+    states[0, :, :2] += windows.state[:, :2]
+    return windows, predict(system, windows, system.default_parameters(), states)[0, :, :2]
+
+
+def test_a_slow_log_has_twelve_steps_a_sample():
+    # pi / 0.06 = 52 rad/s; a twelfth of 60 ms is 5 ms, in which 1.9 / 5 ms = 380 1/s is stable and 2.2 / 5 ms fades.
+    pace, step = pace_of(0.06)
+    assert step == pytest.approx(5e-3)
+    assert pace == pytest.approx((380.0, 440.0, math.pi / 0.06))
+
+
+def test_the_step_of_a_fit_bounds_that_of_a_slow_log():
+    pace, step = pace_of(1.0)
+    assert step == 0.01
+    assert (pace.decay, pace.swing) == pytest.approx((190.0, 220.0))
+
+
+def test_a_slow_log_does_not_ask_for_the_steps_of_a_stiff_servo(arm):
+    assert arm.longest_step < 1.5e-3
+    assert arm.sampled_every(0.09).longest_step > 6e-3
+
+
+def test_a_fast_log_keeps_the_steps_of_a_stiff_servo(arm):
+    assert arm.sampled_every(0.002) is arm
+
+
+def test_a_robot_that_needs_no_shorter_steps_stays_as_it_is(tmp_path):
+    path = tmp_path / "soft.xml"
+    path.write_text(STIFF_ARM.replace('kp="900"', 'kp="5"').replace('kp="200"', 'kp="1"'))
+    soft = any_system(str(path))
+    assert soft.sampled_every(0.02) is soft
+
+
+@pytest.mark.parametrize(
+    ("interval", "share"), [(0.09, 0.05), (0.02, 0.01)], ids=["slow samples", "usual samples"]
+)
+def test_what_samples_show_is_that_of_fine_steps(arm, interval, share):
+    # Each goal is a jump of up to 90 mrad (20 mrad); a dry friction of 1.1 and 1.5 mrad leaves open where it ends.
+    longer, log = arm.sampled_every(interval), log_every(interval, arm)
+    at_rest = torch.zeros(4, dtype=torch.float64)
+    windows, fine = simulated(arm, log, at_rest)
+    coarse, shown = simulated(longer, log, at_rest)
+    jump = max(float(abs(np.diff(c.value)).max()) for c in log.channels.values())
+    assert coarse.step > 1.5 * windows.step
+    assert float((fine - shown).abs()[windows.valid[:, :2]].max()) < share * jump
+
+
+def test_a_slow_log_sees_a_struck_servo_at_rest(arm):
+    # 5 mrad off its goal with 900 N m/rad: the swing of 500 rad/s is over, or unknown, at the next sample.
+    struck = torch.tensor([5e-3, 5e-3, 0.0, 0.0], dtype=torch.float64)
+    windows, shown = simulated(arm.sampled_every(0.09), log_every(0.09, arm), struck)
+    late = shown[:, :, 3:] - windows.value[:, :2, 2:-1]
+    assert bool(torch.isfinite(shown).all())
+    assert float(late.abs().max()) < 0.2
+
+
+def test_effects_and_values_stay_with_the_longer_steps(arm):
+    given = ExtendedSystem(arm, ("viscous(elbow)",), {"viscous(elbow).change": 0.2})
+    slow = given.sampled_every(0.09)
+    assert slow.longest_step == slow.base.longest_step > arm.longest_step
+    assert [(p.name, p.value) for p in slow.parameters] == [(p.name, p.value) for p in given.parameters]
+    assert given.sampled_every(0.002) is given
