@@ -34,6 +34,7 @@ class Explanation:
         unfitted: What could not be fitted, in words.
         weights: Probabilities of explanations; None where none were asked.
         weighed: Whether its causes are those that weigh most.
+        wanted: Fall of the BIC that its first cause needs; None where the question states it.
     """
 
     base: Refitted
@@ -43,6 +44,7 @@ class Explanation:
     unfitted: tuple[str, ...]
     weights: Answer | None = None
     weighed: bool = False
+    wanted: float | None = None
 
 
 def explain(
