@@ -24,6 +24,7 @@ from deepkoco.diagnose.request import DiagnosisRequest
 from deepkoco.diagnose.time_limit import TimeLimit
 from deepkoco.diagnose.verdict.elastic_drives import with_elastic_drives
 from deepkoco.diagnose.verdict.judgement import judge
+from deepkoco.diagnose.verdict.off_the_sheet import with_values_off_the_sheet
 from deepkoco.diagnose.verdict.result import diagnosis_of, insufficient
 from deepkoco.diagnose.weighed import explained
 from deepkoco.diagnose.window_choice import followed_length, length_for_enough
@@ -147,6 +148,7 @@ def _diagnosed(request: DiagnosisRequest, start: Baseline, unfitted: Sequence[st
     explanation = explained(request, start, unfitted)
     request, explanation = on_longer_windows(request, explanation)
     judgement = judge(request, explanation)
+    explanation, judgement = with_values_off_the_sheet(request, explanation, judgement)
     request, explanation, judgement = with_elastic_drives(request, explanation, judgement)
     weighed = request.evidence and request.limit.allows("probabilities of the causes")
     result = diagnosis_of(request, explanation, judgement)

@@ -35,6 +35,7 @@ class Explanation:
         unfitted: What could not be fitted, in words.
         weights: Probabilities of explanations; None where none were asked.
         weighed: Whether its causes are those that weigh most.
+        wanted: Fall of the BIC that its first cause needs; None where the question states it.
     """
 
     base: Refitted
@@ -44,6 +45,7 @@ class Explanation:
     unfitted: tuple[str, ...]
     weights: Answer | None = None
     weighed: bool = False
+    wanted: float | None = None
 
 
 @dataclass(frozen=True)

@@ -126,10 +126,14 @@ def weigh(
 def detection_of(request: DiagnosisRequest, explanation: Explanation) -> float:
     """Return the fall of the BIC that a first cause needs: where causes are weighed, the weights pay for the choice.
 
+    A parameter that is far from its stated value needs less (:mod:`deepkoco.diagnose.verdict.off_the_sheet`).
+
     Args:
         request: It states the fall that is asked for among all causes.
         explanation: Its causes are weighed or not.
     """
+    if explanation.wanted is not None:
+        return explanation.wanted
     return max(request.detection - DETECTION + APART, 0.0) if explanation.weighed else request.detection
 
 

@@ -86,9 +86,9 @@ def test_logs_show_only_the_causes_of_channels_that_they_measure():
     both = {c.name for c in shown_causes(known, {"theta", "omega"})}
     one = {c.name for c in shown_causes(known, {"theta"})}
     assert both == set(known)
-    # A late channel is told from late measurements by the other channels.
+    # A late channel is told from late measurements by the others, a scaled one by the joint's other sensor.
     of_omega = {name for name in both if name.endswith("(omega)")}
     assert "noise_level(omega)" in of_omega
-    assert both - one == of_omega | {"channel_delay(theta)"}
+    assert both - one == of_omega | {"channel_delay(theta)", "channel_scale(theta)"}
     log = hidden_log("rod_pendulum", {}, "steps", 0, seconds=2.0)
     assert measured_channels([log]) == {"theta", "omega"}

@@ -116,3 +116,19 @@ def test_even_times_are_none_where_stamps_are_regular_but_for_a_few_rounded_ones
     assert np.array_equal(series["q"][0], t)
     assert np.array_equal(moved, t)
     assert even_times(t) is None
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(20_000, 20_500), period=st.sampled_from([0.01, 0.02, 0.05]))
+def test_stamps_in_whole_milliseconds_are_moved_where_most_gaps_are_equal(seed, period):
+    true = period * np.arange(COUNT) + 0.64
+    late = 1e-3 * np.random.default_rng(seed).integers(0, 2, COUNT)
+    t = np.round(1e3 * (true + late)) / 1e3
+    _, (sent,) = with_even_stamps({"q": (t, motion(true, seed))}, [t])
+    assert np.std(sent - true) < 0.25 * np.std(late)
+
+
+def test_regular_stamps_with_a_few_pauses_stay():
+    t = np.delete(0.02 * np.arange(COUNT), np.arange(40, COUNT, 13))
+    t[700:] += 0.003
+    assert even_times(t) is None

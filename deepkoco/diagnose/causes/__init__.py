@@ -35,6 +35,7 @@ from deepkoco.diagnose.causes.friction import (
 )
 from deepkoco.diagnose.causes.parameter import CHANGED, SCALED, changed_causes, changed_parameter, is_changed
 from deepkoco.diagnose.causes.sensor import (
+    CHANNEL_SCALE,
     CHANNEL_SLIP,
     GEAR_PLAY,
     LOW_PASS,
@@ -101,6 +102,7 @@ CAUSES: dict[str, Cause] = {
         SENSOR_BIAS,
         SPEED_BIAS,
         SENSOR_SCALE,
+        CHANNEL_SCALE,
         SENSOR_DRIFT,
         LOW_PASS,
         ELASTIC,

@@ -74,9 +74,11 @@ class Cause:
         scatter: Test of a noise cause; None for other causes.
         traced: Whether it is searched for in the data itself (`lost_commands.search`), not by fits of parameters.
         shape: Those of ``free`` that say where, when or in which form it acts, and not how much of it there is.
-        relative: Whether a channel shows it only beside the others, which have none of it.
+        relative: ``(system, channel)`` -> channels that have none of it, where one shows it only beside one of these;
+            None where its own shows it alone.
         tolerance: How much of every other parameter any healthy machine has, as a distance from the null value.
         effect: Name of the placed effect that simulates it; "event" for a push, "changed" for a parameter itself.
+        beside: Names of these channels, once it is placed.
         joint: Joint on which it acts; None for the whole system, or for all actuators alike.
         index: Index of its command or channel, where it belongs to one.
     """
@@ -96,11 +98,12 @@ class Cause:
     scatter: Callable[[Scatter, int], Verdict | None] | None = None
     traced: bool = False
     shape: tuple[str, ...] = ()
-    relative: bool = False
+    relative: Callable[[System, int], tuple[int, ...]] | None = None
     tolerance: Tolerance = share_of_usual
     also: tuple[str, ...] = ()
     also_summary: str = ""
     effect: str = ""
+    beside: tuple[str, ...] = ()
     joint: int | None = None
     index: int = 0
 
@@ -134,6 +137,9 @@ class Cause:
             cause = replace(self, free=(*self.free, *more), summary=self.also_summary or self.summary)
             beside = [p for p in parameters if p.name in more]
             cause = replace(cause, starts=lambda hint: [*self.starts(hint), *_beside(self.free, beside)])
+        if self.relative is not None:
+            others = self.relative(system, placed.index)
+            cause = replace(cause, beside=tuple(system.measurements[c].name for c in others))
         return cause._called(placed.name, placed.name, joint, placed.index)
 
     def on_joint(self, joint: int, system: System) -> Cause:

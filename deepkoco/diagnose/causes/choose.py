@@ -37,7 +37,7 @@ def _shown(cause: Cause, measured: Collection[str]) -> bool:
     if effect is None or effect.site != "channel":
         return True
     channel = cause.name.removeprefix(f"{cause.kind}(").removesuffix(")")
-    return channel in measured and (not cause.relative or len(measured) > 1)
+    return channel in measured and (not cause.beside or not set(cause.beside).isdisjoint(measured))
 
 
 def causes_named(known: dict[str, Cause], names: Sequence[str], system: str) -> list[Cause]:

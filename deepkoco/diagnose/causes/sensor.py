@@ -9,6 +9,7 @@ from deepkoco.diagnose.causes.tolerance import of_sample
 from deepkoco.diagnose.causes.units import UNIT_CONSTANTS, slip_starts
 from deepkoco.diagnose.residuals.scatter import noise_level, quantisation
 from deepkoco.systems.effects.hysteresis import BEND
+from deepkoco.systems.effects.sensor import sensors_beside
 
 SENSOR_BIAS = Cause(
     "sensor_bias",
@@ -36,6 +37,16 @@ SENSOR_SCALE = Cause(
     "Turn the joint by one full turn by hand and read the sensor.",
     "theta",
     lambda motion: motion.theta * np.cos(motion.theta),
+)
+CHANNEL_SCALE = Cause(
+    "channel_scale",
+    "sensor",
+    ("factor",),
+    "The readings of one sensor are scaled, beside those of another sensor of the same joint.",
+    "Move the joint from one stop to the other and compare what both sensors show of it.",
+    "theta",
+    lambda motion: motion.theta * np.cos(motion.theta),
+    relative=sensors_beside,
 )
 SENSOR_DRIFT = Cause(
     "sensor_drift",

@@ -7,6 +7,7 @@ import numpy as np
 from deepkoco.diagnose.causes.cause import Cause, Hint, Motion
 from deepkoco.diagnose.causes.tolerance import of_clock, of_sample, of_stamps
 from deepkoco.diagnose.residuals.scatter import jitter
+from deepkoco.systems import System
 
 # Fits of a long delay from 0 stop in local minima, so they also start from longer delays [s].
 STARTS = (0.0, 0.03, 0.08)
@@ -14,6 +15,10 @@ STARTS = (0.0, 0.03, 0.08)
 
 def _rate(motion: Motion) -> np.ndarray:
     return -motion.command_rate
+
+
+def _all_others(system: System, channel: int) -> tuple[int, ...]:
+    return tuple(c for c in range(len(system.measurements)) if c != channel)
 
 
 def _starts(name: str):
@@ -54,7 +59,7 @@ CHANNEL_DELAY = Cause(
     "Move the robot by hand and compare the channel with another one that shows the same motion.",
     "command_rate",
     _rate,
-    relative=True,
+    relative=_all_others,
     tolerance=of_sample,
 )
 LAG = Cause(

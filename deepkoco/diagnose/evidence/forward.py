@@ -102,6 +102,14 @@ class Selection(SelectionTask):
             found = replace(lossy, plain=self.without_tolerated(replace(plain, minor=forward.minor)))
         return first, self.without_tolerated(replace(found, minor=forward.minor))
 
+    def from_ranking(self, first: Ranking) -> Selected:
+        """Select causes on top of the reference of a ranking of the whole catalogue, without lost commands."""
+        reference = first.reference
+        self.before, self.cost = reference.chi2, reference.cost
+        hints = self.hints(self.problem, reference, missing_torque(self.problem, reference))
+        found = self._forward(Selected(reference, (), (), self.problem), first, hints)
+        return self.without_tolerated(replace(self._pruned(found), minor=found.minor))
+
     def repeated(self, found: Selected, reference: Fit) -> Selected:
         """Compare the causes of a selection on other windows again, and eliminate causes.
 

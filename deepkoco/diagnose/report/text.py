@@ -17,6 +17,7 @@ from deepkoco.pages.units import in_one_unit, telling_digits
 from deepkoco.systems.named_joints import COMMON
 
 NOTABLE = 2.0  # standard deviations of the prior from which a changed parameter is pointed out
+REFITTED = 3.0  # times the held-out error that the simulation as given has, from which a headline says so
 LARGEST_FACTOR = 1000.0  # between two values of a parameter, for which the factor still says something
 
 
@@ -36,7 +37,7 @@ def spoken(name: str) -> str:
 def headline(diagnosis: Diagnosis) -> str:
     """Return the verdict in one line."""
     named = _named(diagnosis.causes)
-    explained = "The simulation explains this log up to noise"
+    explained = f"The simulation explains this log up to noise{_once_refitted(diagnosis)}"
     if diagnosis.moved:
         values = " and ".join(moved_value(m) for m in diagnosis.moved)
         explained = f"{values}. With this, the simulation explains the log up to noise"
@@ -54,6 +55,20 @@ def headline(diagnosis: Diagnosis) -> str:
         "unknown": f"The simulation differs from this log, and {differs}",
         "insufficient": "The data do not suffice",
     }[diagnosis.verdict]
+
+
+def _once_refitted(diagnosis: Diagnosis) -> str:
+    """Return by how much the refit lowers the held-out error, where that is much: the values given are then off."""
+    if diagnosis.gain is None or diagnosis.gain.as_given:
+        return ""
+    channels = [c for c in diagnosis.gain.channels if c.refit > 0.0]
+    most = max(channels, key=lambda c: c.baseline / c.refit, default=None)
+    if most is None or most.baseline < REFITTED * most.refit:
+        return ""
+    return (
+        f" once its own parameters are refitted: as given, its held-out error of {most.name} is "
+        f"{most.baseline / most.refit:.2g} times as large"
+    )
 
 
 def nearest_of(family: Mapping[str, Any]) -> str:

@@ -121,11 +121,27 @@ def motion_of(windows: Windows, missing: MissingTorque, system: System, cause: C
 
 
 def evidence_for(
-    cause: Cause, candidate: Candidate, ranking: Ranking, motion: Motion, missing: MissingTorque, places: int
+    cause: Cause,
+    candidate: Candidate,
+    ranking: Ranking,
+    motion: Motion,
+    missing: MissingTorque,
+    places: int,
+    wanted: float = DETECTION,
 ) -> tuple[Evidence, ...]:
-    """Return the evidence for a cause: the likelihood ratio, and its correlation with the missing torque."""
+    """Return the evidence for a cause: the likelihood ratio, and its correlation with the missing torque.
+
+    Args:
+        cause: The cause.
+        candidate: Its fit.
+        ranking: The ranking in which it was best.
+        motion: Motion of its joint.
+        missing: Missing load of its joint.
+        places: Places in time at which a push was searched.
+        wanted: Fall of the BIC that its name needs.
+    """
     charge = penalty(cause, ranking.samples, places)
-    needed = (charge + DETECTION) * ranking.deflation
+    needed = (charge + wanted) * ranking.deflation
     result = [
         Evidence(
             "likelihood_ratio",

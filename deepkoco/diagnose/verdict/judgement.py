@@ -21,7 +21,7 @@ from deepkoco.diagnose.evidence.sanity_checks import (
     doubts_of_names,
 )
 from deepkoco.diagnose.evidence.selected import Selected, learned_instead
-from deepkoco.diagnose.evidence.selection import FURTHER
+from deepkoco.diagnose.evidence.selection import DETECTION, FURTHER
 from deepkoco.diagnose.explanation import Explanation
 from deepkoco.diagnose.gain import Gain, gain_on_held_out, kept_as_given
 from deepkoco.diagnose.refitted import Refitted, with_parameters_kept
@@ -242,10 +242,11 @@ def _named(
         best = replace(ranking.best, fit=found.final)
         own = missing[best.cause.joint or 0]
         motion = motion_of(base.train, own, system, best.cause)
-        evidence = evidence_for(best.cause, best, ranking, motion, own, places)
+        wanted = FURTHER if k or found.lost is not None else detection_of(request, explanation)
+        least = min(wanted, DETECTION)
+        evidence = evidence_for(best.cause, best, ranking, motion, own, places, least)
         if not is_changed(best.cause):
             evidence += evidence_of_priors(ranking.reference, ranking.best.fit, priors, healthy)
-        wanted = FURTHER if k or found.lost is not None else detection_of(request, explanation)
         apart = width(found.acting, base.start, ranking)
         chances = how_probable(ranking.candidates, wanted, apart, members)
         ranking = replace(ranking, deflation=deflation)

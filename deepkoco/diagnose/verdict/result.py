@@ -9,7 +9,7 @@ import numpy as np
 
 from deepkoco.diagnose.causes import Cause, is_changed
 from deepkoco.diagnose.data import MIN_TRAINING_WINDOWS, describe_data
-from deepkoco.diagnose.data_sheet import with_usual_spread
+from deepkoco.diagnose.data_sheet import guessed, with_usual_spread
 from deepkoco.diagnose.diagnosis import Details, Diagnosis, Estimate, Evidence, Finding, Moved
 from deepkoco.diagnose.evidence.classes import width
 from deepkoco.diagnose.evidence.how_probable import NOTHING, how_probable, listed
@@ -209,8 +209,8 @@ def _moved(explanation: Explanation, judgement: Judgement) -> tuple[Moved, ...]:
     healthy = {n: fit.values[n] for minor in explanation.found.minor for n in minor.cause.free}
     healthy |= {n: fit.values[n] for n in fit.free if "." in n}
     start = replace(base.start, values={**base.start.values, **healthy})
-    if explanation.found.usual and base.learned.healthy is None:
-        # "Nothing" was decided with the spread of units of one make, so a parameter beyond that is news.
+    if base.learned.healthy is None and guessed(base.start):
+        # Nobody stated a guessed prior, so a parameter beyond the spread of units of one make is news.
         start = with_usual_spread(start)
     return moved_parameters(base.problem, start, fit)
 

@@ -20,6 +20,8 @@ MOST = (
 NEAR = 25  # samples, of which the typical delay tells the turn of the loop that each belongs to
 WANDER = np.geomspace(1e-6, 1e6, 61)  # variance of the loop's own steps over that of the stamps, as searched
 ALIKE = 2.0  # ratio of the scatters of commands and samples up to which one clock stamped both
+COMMON, COMMON_SDS = 0.9, 1.645  # share of the gaps that are no pause; standard deviations that it reaches to
+ROUNDINGS = 16.0  # of the largest stamp, within which gaps are equal: stamps are converted and subtracted
 FAR = 5.0  # standard deviations of a gap from which it is a pause of the loop
 EVIDENCE = 16.0  # fall of minus twice the log likelihood from which the even times are believed
 ORDERS = range(2, 7)  # of the differences of samples; the one with the least motion in it is used
@@ -101,9 +103,12 @@ def even_times(t: np.ndarray) -> np.ndarray | None:
     count = np.diff(turn)
     off = gap - count * period
     middle = float(np.median(off))
-    spread = 1.4826 * float(np.median(np.abs(off - middle)))
+    away, least = np.abs(off - middle), ROUNDINGS * float(np.spacing(np.abs(t).max()))
+    spread = 1.4826 * float(np.median(away))
+    # Of stamps in whole milliseconds, more than half of the gaps may be the usual one, and the others tell how far.
+    spread = spread if spread > least else float(np.quantile(away, COMMON)) / COMMON_SDS
     # Below the rounding of the numbers themselves the stamps of most gaps do not scatter.
-    if not np.spacing(np.abs(t).max()) < spread <= MOST * np.sqrt(2.0) * period:
+    if not least < spread <= MOST * np.sqrt(2.0) * period:
         return None
     # A few gaps that are a little longer tilt the fitted period by more than regular stamps scatter.
     usual = np.abs(off - middle) <= FAR * spread

@@ -25,6 +25,7 @@ from deepkoco.systems.effects.learned import LEARNED
 from deepkoco.systems.effects.noise import JITTER, LOST_COMMANDS, NOISE_LEVEL, QUANTISATION
 from deepkoco.systems.effects.scaled import SCALED
 from deepkoco.systems.effects.sensor import (
+    CHANNEL_SCALE,
     CHANNEL_SLIP,
     LOW_PASS,
     SENSOR_BIAS,
@@ -90,6 +91,7 @@ EFFECTS: dict[str, Effect] = {
         GEAR_PLAY,
         SCALED,
         SENSOR_SCALE,
+        CHANNEL_SCALE,
         SENSOR_BIAS,
         SPEED_BIAS,
         SENSOR_DRIFT,

@@ -53,6 +53,22 @@ def _apply_scale(measurement: Tensor, site: SensorSite, p: Parameters) -> Tensor
     return _changed(measurement, site.positions + site.speeds, lambda x: x * p["factor"])
 
 
+def sensors_beside(system: System, channel: int) -> tuple[int, ...]:
+    """Return the other channels that show the joint of a channel; all others where channels do not show states."""
+    others = tuple(c for c in range(len(system.measurements)) if c != channel)
+    if not system.shows_states:
+        return others
+    joints = [state % system.joints for state in system.measured_states]
+    return tuple(c for c in others if joints[c] == joints[channel])
+
+
+def _channel_scale(system: System, channel: int = 0) -> tuple[Parameter, ...]:
+    if not sensors_beside(system, channel):
+        return ()  # there it is the scale of all readings of the joint
+    text = "k_c, reading per true value, beside the other sensors of the joint"
+    return (Parameter("factor", 1.0, "1", 0.3, 3.0, 0.1, text),)
+
+
 def _drift(system: System, joint: int = 0) -> tuple[Parameter, ...]:
     unit = system.state_units[system.joints + joint]
     limit = 3.0 / LONG
@@ -89,6 +105,15 @@ SPEED_BIAS = Effect(
 )
 SENSOR_SCALE = Effect(
     "sensor_scale", "sensor", "sensor", _scale, "the sensor's readings are scaled", _apply_scale
+)
+CHANNEL_SCALE = Effect(
+    "channel_scale",
+    "sensor",
+    "sensor",
+    _channel_scale,
+    "one of several sensors of a joint is scaled",
+    _apply_slip,
+    "channel",
 )
 SENSOR_DRIFT = Effect(
     "sensor_drift", "sensor", "sensor", _drift, "the position sensor's zero drifts", _apply_drift

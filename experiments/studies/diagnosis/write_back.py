@@ -186,6 +186,7 @@ def dose(kind: str, declared: Mapping[str, Any], system: System) -> dict[str, fl
         "channel_slip": {"factor": 1.1},
         "scaled": {"factor": 1.5},
         "sensor_scale": {"factor": 1.1},
+        "channel_scale": {"factor": 1.1},
         "gain_curve": {"curvature": 2.0 * declared["curvature"].prior_sd} if "curvature" in declared else {},
         "gear_play": {"width": 2.0 * declared["width"].prior_sd} if "width" in declared else {},
         "tilt": {n: 0.1 for n in declared},

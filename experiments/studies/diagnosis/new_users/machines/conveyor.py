@@ -53,7 +53,7 @@ ROBOT = Robot(
     {
         "conveyor_healthy": Case("conveyor"),
         # The belt is 3 % slower than the drum: the wheel on it, or the motor beside it, shows another scale.
-        "conveyor_creep": Case("conveyor", {"creep": 0.97}, ("sensor_scale",), None),
+        "conveyor_creep": Case("conveyor", {"creep": 0.97}, ("channel_scale(way)",), 0.97),
         "conveyor_incline": Case("conveyor", {"incline": -60.0}, ("constant_load", "torque_bias"), -60.0),
     },
     # The motor turns, the drum moves the belt: inspect has no column for it, and the engineer writes it down.

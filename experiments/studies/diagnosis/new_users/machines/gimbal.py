@@ -57,7 +57,7 @@ ROBOT = Robot(
         "gimbal_healthy": Case("gimbal"),
         # The cable pulls towards 0.2 rad.
         "gimbal_cable": Case("gimbal", {"cable": 0.12}, ("spring",), 0.12),
-        "gimbal_gyro": Case("gimbal", {"gyro_scale": 0.93}, ("sensor_scale(gyro)",), 0.93),
+        "gimbal_gyro": Case("gimbal", {"gyro_scale": 0.93}, ("channel_scale(gyro)",), 0.93),
     },
     corrected={"drive": {"scale": 1.0 / FULL}},
 )  # fmt: skip
