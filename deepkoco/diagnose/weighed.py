@@ -61,7 +61,8 @@ def weigh(request: DiagnosisRequest, explanation: Explanation, more: int = MOST_
     request.progress("weighing the data sheet")
     causes = request.causes
     try:
-        answer, lossy, charge = answer_of(request, base), False, 0.0
+        named = {name for _, members in found.steps for name in members}
+        answer, lossy, charge = answer_of(request, base, named=named), False, 0.0
         if found.lost is not None:
             with_losses = answer_of(request, base, found.acting.windows)
             charge = log_prior_of_losses(found.charge, len(causes))
@@ -149,6 +150,9 @@ def _selected_again(
         for c, fit in selected.items()
         if c.name not in names and (sizes := usual_sizes(base.start, c, fit, base.problem))
     }
+    if base.learned.healthy is not None:
+        # The healthy logs were asked about what was accepted, and do not have it: it is nothing that this unit has.
+        little = {c: sizes for c, sizes in little.items() if c not in found.accepted}
     beside = [c for c, sizes in little.items() if _within(base.start, sizes, selected[c])]
     # What was selected and is more than that stays a rival.
     plausible = [*plausible, *(c for c in found.accepted if c not in beside and c.name not in names)]
