@@ -10,7 +10,7 @@ cause of each ranking, whatever is alike, and holds if it leaves only noise.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -44,17 +44,24 @@ class Weights:
     _rough: list[float] = field(default_factory=list)
 
     @staticmethod
-    def of(request: DiagnosisRequest, base: Refitted) -> Weights:
+    def of(request: DiagnosisRequest, base: Refitted, named: Collection[str] = ()) -> Weights:
         """Weigh the explanations on a refit.
+
+        Args:
+            request: The logs.
+            base: The refit.
+            named: Causes that were selected, see `answer_of`.
 
         Raises:
             DivergedError: The simulation diverges.
             LinAlgError: The logs tell nothing of a parameter.
         """
-        return Weights(base, answer_of(request, base))
+        return Weights(base, answer_of(request, base, named=named))
 
-    def hold(self, base: Refitted) -> bool:
-        """Return whether these are the weights on this refit, too."""
+    def hold(self, base: Refitted, named: Collection[str] = ()) -> bool:
+        """Return whether these are the weights on this refit, too, and let the named causes stand."""
+        if named and self.answer.of_any(named) <= 0.5:
+            return False
         if base.learned.healthy is not None:
             # What healthy logs say does not depend on the refit.
             return base.learned.healthy is self.base.learned.healthy

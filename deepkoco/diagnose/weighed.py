@@ -97,8 +97,9 @@ def weigh(
     request.progress("weighing the data sheet")
     causes = request.causes
     try:
-        if before is None or not before.hold(base):
-            before = Weights.of(request, base)
+        named = {name for _, members in found.steps for name in members}
+        if before is None or not before.hold(base, named):
+            before = Weights.of(request, base, named)
         answer, lossy, charge = before.answer, False, 0.0
         if found.lost is not None:
             with_losses = answer_of(request, base, found.acting.windows)
@@ -189,6 +190,9 @@ def _selected_again(
         for c, fit in selected.items()
         if c.name not in names and (sizes := usual_sizes(base.start, c, fit, base.problem))
     }
+    if base.learned.healthy is not None:
+        # The healthy logs were asked about what was accepted, and do not have it: it is nothing that this unit has.
+        little = {c: sizes for c, sizes in little.items() if c not in found.accepted}
     beside = [c for c, sizes in little.items() if _within(base.start, sizes, selected[c])]
     # What was selected and is more than that stays a rival.
     plausible = [*plausible, *(c for c in found.accepted if c not in beside and c.name not in names)]

@@ -303,8 +303,8 @@ class System(SignalPath, NamedJoints, Drawn, metaclass=Declared):
     def sampled_every(self, interval: float) -> System:
         """The same system, for simulations that are compared with logs of some rate.
 
-        Where its fastest motions are over within a small part of a sample, their simulation need not follow them: it may
-        take longer steps, as long as what such a log shows stays the same. It has the same parameters and channels.
+        Where its fastest motions are over within a small part of a sample, their simulation need not follow them: it
+        may take longer steps, as long as what such a log shows stays the same. It has the same parameters and channels.
 
         Args:
             interval: Time from one measurement to the next [s].

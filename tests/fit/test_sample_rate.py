@@ -16,13 +16,19 @@ class Asked(TwoLinkArm):
 
 
 def log(**stamps):
-    series = {n: Series(np.asarray(t, dtype=float), np.zeros(len(t)), "rad", "measurement") for n, t in stamps.items()}
+    series = {
+        n: Series(np.asarray(t, dtype=float), np.zeros(len(t)), "rad", "measurement")
+        for n, t in stamps.items()
+    }
     return Recording(series)
 
 
 def test_the_fastest_measured_channel_of_any_log_decides():
     first, second, *_ = [c.name for c in TwoLinkArm().measurements]
-    slow, fast = log(**{first: np.arange(50) * 0.09}), log(**{first: np.arange(50) * 0.1, second: np.arange(50) * 0.02})
+    slow, fast = (
+        log(**{first: np.arange(50) * 0.09}),
+        log(**{first: np.arange(50) * 0.1, second: np.arange(50) * 0.02}),
+    )
     assert sampled_as(Asked(), [slow, fast]) == pytest.approx(0.02)
 
 

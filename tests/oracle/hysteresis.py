@@ -12,6 +12,7 @@ from deepkoco.systems import make_system
 SYSTEM, STEP, SENSOR_RATE, COMMAND_RATE = "torque_pendulum", 5e-4, 100.0, 50.0
 HIDDEN = {
     "spring": {"stiffness": 0.6, "centre": 0.5},
+    "spring_at_zero": {"stiffness": 0.6, "centre": 0.0},
     "bristle": {"level": 0.35, "distance": 0.03, "relaxation": 0.01},
     "rate_limit": {"limit": 15.0},
     "gear_play": {"width": 0.02},

@@ -74,6 +74,8 @@ class Cause:
         scatter: Test of a noise cause; None for other causes.
         traced: Whether it is searched for in the data itself (`lost_commands.search`), not by fits of parameters.
         shape: Those of ``free`` that say where, when or in which form it acts, and not how much of it there is.
+        natural: Those of ``shape`` that often have their declared value, not just any: a spring is at rest at the
+            zero of its joint, and has one parameter less then.
         relative: ``(system, channel)`` -> channels that have none of it, where one shows it only beside one of these;
             None where its own shows it alone.
         tolerance: How much of every other parameter any healthy machine has, as a distance from the null value.
@@ -98,6 +100,7 @@ class Cause:
     scatter: Callable[[Scatter, int], Verdict | None] | None = None
     traced: bool = False
     shape: tuple[str, ...] = ()
+    natural: tuple[str, ...] = ()
     relative: Callable[[System, int], tuple[int, ...]] | None = None
     tolerance: Tolerance = share_of_usual
     also: tuple[str, ...] = ()
@@ -116,6 +119,11 @@ class Cause:
     def sizes(self) -> tuple[str, ...]:
         """Full names of the free parameters that say how much of it there is."""
         return tuple(n for n in self.free if n.rpartition(".")[2] not in self.shape)
+
+    @property
+    def naturals(self) -> tuple[str, ...]:
+        """Full names of the free parameters that often have their declared value."""
+        return tuple(n for n in self.free if n.rpartition(".")[2] in self.natural)
 
     @property
     def size(self) -> int:

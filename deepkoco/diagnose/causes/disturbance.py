@@ -42,8 +42,12 @@ def _frequencies(hint: Hint) -> list[dict[str, float]]:
 
 
 def _centres(hint: Hint) -> list[dict[str, float]]:
-    """Return the middle of the angles of the log: without stiffness the data say nothing about the centre."""
-    return [{"centre": float(hint.missing.theta.mean()) if hint.missing is not None else 0.0}]
+    """Return the zero of the joint, where springs are mounted, and the middle of the angles of the log.
+
+    Without stiffness the data say nothing about the centre.
+    """
+    at_zero = {"centre": 0.0}
+    return [at_zero] if hint.missing is None else [{"centre": float(hint.missing.theta.mean())}, at_zero]
 
 
 CONSTANT_LOAD = Cause(
@@ -64,7 +68,9 @@ SPRING = Cause(
     "theta",
     lambda motion: motion.theta.mean() - motion.theta,
     _centres,
+    choices=2,  # at the zero of the joint, or anywhere
     shape=("centre",),
+    natural=("centre",),
 )
 COGGING = Cause(
     "cogging",

@@ -17,6 +17,7 @@ from deepkoco.diagnose.evidence.event_windows import MIN_OTHER_WINDOWS, touched
 from deepkoco.diagnose.evidence.exchanged_states import hides_a_position, with_exchanged_states
 from deepkoco.diagnose.evidence.flexible import FLEXIBLE_CAUSES
 from deepkoco.diagnose.evidence.footholds import ALONE, CLOSE, ITERATIONS, alone, from_halves, trial_of
+from deepkoco.diagnose.evidence.natural_shapes import with_natural_shapes
 from deepkoco.diagnose.evidence.priors import prior_with, strained
 from deepkoco.diagnose.evidence.promising import (
     WORTH,
@@ -213,6 +214,7 @@ def rank(
             reference = better
         fits |= crossed(problem, start, accepted, ranking)
         ranking = _ranked(problem, start, reference, tried, fits, promised)
+    ranking = with_natural_shapes(problem, start, accepted, ranking)
     return replace(ranking, unfitted=unfitted, beside=tuple(names), asked=tuple(c.name for c in everything))
 
 

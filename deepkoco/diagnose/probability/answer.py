@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -68,9 +68,12 @@ class Answer:
 
     def of_cause(self, name: str) -> float:
         """Probability of a cause: the sum over all explanations that hold it."""
-        return float(
-            sum(p for e, p in zip(self.explanations, self.probability, strict=True) if name in e.causes)
-        )
+        return self.of_any([name])
+
+    def of_any(self, names: Collection[str]) -> float:
+        """Probability of one or more of these causes: the sum over all explanations that hold any of them."""
+        held = (not {*names}.isdisjoint(e.causes) for e in self.explanations)
+        return float(sum(p for yes, p in zip(held, self.probability, strict=True) if yes))
 
     @property
     def nothing(self) -> float:

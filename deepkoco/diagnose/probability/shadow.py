@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -80,13 +80,16 @@ def with_evidence(
     return replace(result, evidence=replace(answer, seconds=time.process_time() - began).to_json())
 
 
-def answer_of(request: DiagnosisRequest, base: Refitted, acted: Windows | None = None) -> Answer:
+def answer_of(
+    request: DiagnosisRequest, base: Refitted, acted: Windows | None = None, named: Collection[str] = ()
+) -> Answer:
     """Return the probabilities of causes for the logs of a diagnosis.
 
     Args:
         request: Its question.
         base: Its refitted baseline.
         acted: Its training windows with the commands that acted, if some of those that were sent are taken for lost.
+        named: Causes that were selected; where others are more probable, they are refitted in any case.
 
     Raises:
         DivergedError: The simulation diverges.
@@ -96,11 +99,11 @@ def answer_of(request: DiagnosisRequest, base: Refitted, acted: Windows | None =
     causes = request.causes
     if healthy is None:
         problem, reference = _acting(base.problem, base.reference, base.start, acted)
-        return probabilities(problem, reference, base.start, causes)
+        return probabilities(problem, reference, base.start, causes, named=named)
     windows, reference = refit_sharply(healthy.before, request.data.train)
     problem = FitProblem(healthy.before.system, windows)
     problem, reference = _acting(problem, reference, healthy.before, acted)
-    return probabilities(problem, reference, healthy.before, causes, learned_unit(healthy, causes))
+    return probabilities(problem, reference, healthy.before, causes, learned_unit(healthy, causes), named)
 
 
 def _acting(problem: FitProblem, fit: Fit, start: Baseline, acted: Windows | None) -> tuple[FitProblem, Fit]:
@@ -128,6 +131,7 @@ def probabilities(
     start: Baseline,
     causes: Sequence[Cause],
     unit: HealthyUnit | None = None,
+    named: Collection[str] = (),
 ) -> Answer:
     """Return the probability of every cause, of nothing and of an unknown cause.
 
@@ -137,6 +141,7 @@ def probabilities(
         start: The system as given, with the priors of its parameters.
         causes: The catalogue.
         unit: What healthy logs say; None without any.
+        named: Causes that were selected; where others are more probable, they are refitted in any case.
     """
     began = time.process_time()
     if unit is None and guessed(start):
@@ -155,6 +160,9 @@ def probabilities(
         refits, plain = _refitted(problem, point, promising)
         more = _as_promising(point.scored, promising, refits)
         found += [*refits, *(_refitted(problem, point, more, plain)[0] if more else [])]
+    for point in points:
+        more = _doubted(point.scored, named, found)
+        found += _refitted(problem, point, more)[0] if more else []
     tried = sum(len(p.scored) for p in points)
     if not found:
         raise DivergedError("no explanation has a simulation that stays finite")
@@ -307,6 +315,22 @@ def _as_promising(
         single = len(s.explanation.items) == 1 and not s.explanation.unknown
         near = s.log_weight > scored[0].log_weight - BEHIND - max(wrong, 0.0)
         if single and near and s.explanation.causes not in score and len(chosen) < RIVALS:
+            chosen.setdefault(s.explanation.causes, s)
+    return list(chosen.values())
+
+
+def _doubted(scored: Sequence[Scored], named: Collection[str], found: Sequence[Weighed]) -> list[Scored]:
+    """Return named causes alone and beside an unknown one, from their best starts, if others are more probable so far.
+
+    A linearised score may be wrong by all that a cause explains, so they have to be refitted before they are doubted.
+    """
+    if not named or not found or Answer.of(found, 0, 0.0).of_any(named) > 0.5:
+        return []
+    known = {e.causes for e in found}
+    chosen: dict[tuple[str, ...], Scored] = {}
+    for s in scored:
+        single = len(s.explanation.items) == 1 and s.explanation.items[0].cause.name in named
+        if single and s.explanation.causes not in known:
             chosen.setdefault(s.explanation.causes, s)
     return list(chosen.values())
 

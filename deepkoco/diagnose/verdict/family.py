@@ -13,6 +13,7 @@ from deepkoco.diagnose.causes.parameter import FAMILY as PARAMETER
 from deepkoco.diagnose.evidence.classes import width
 from deepkoco.diagnose.evidence.how_probable import NOTHING, UNKNOWN, how_probable
 from deepkoco.diagnose.explanation import Explanation
+from deepkoco.diagnose.verdict.outweighed import MOST_DOUBTED
 from deepkoco.diagnose.verdict.unknown import explained_share
 
 MOST_OF = 0.6  # share of the difference that the best cause of the family explains
@@ -56,13 +57,15 @@ class Family(NamedTuple):
 def family_of(explanation: Explanation) -> Family | None:
     """Return the family of what the logs show; None where causes of several families come as near.
 
-    Another value of a parameter is no rival: almost every mechanism can also be written so.
+    Another value of a parameter is no rival: almost every mechanism can also be written so. Where explanations were
+    weighed, the log must be more probable with a cause of the family than without any: the selection has no smooth load
+    as a rival, and the family of a wrong cause is no better than its name.
 
     Args:
         explanation: The refitted baseline and the ranking of the whole catalogue.
     """
     base, first = explanation.base, explanation.first
-    rivals = [c for c in first.candidates if CAUSES[kind_of(c.cause.name)].family != PARAMETER]
+    rivals = [c for c in first.candidates if _family(c.cause.name) != PARAMETER]
     if not rivals or rivals[0].delta_bic <= 0.0:
         return None
     best = rivals[0]
@@ -72,6 +75,14 @@ def family_of(explanation: Explanation) -> Family | None:
         return None
     chances = how_probable(rivals, 0.0, width(base.problem, base.start, first))
     named = {n: p for n, p in chances.items() if n not in (NOTHING, UNKNOWN)}
-    own = sum(p for n, p in named.items() if CAUSES[kind_of(n)].family == family)
+    own = sum(p for n, p in named.items() if _family(n) == family)
     probability = own / sum(named.values())
+    if explanation.weights is not None:
+        members = [n for n in explanation.weights.causes if n != UNKNOWN and _family(n) == family]
+        if explanation.weights.of_any(members) <= MOST_DOUBTED:
+            return None
     return Family(family, best.cause.name, share, probability) if probability >= SURE else None
+
+
+def _family(name: str) -> str:
+    return CAUSES[kind_of(name)].family

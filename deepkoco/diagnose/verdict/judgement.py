@@ -37,6 +37,7 @@ from deepkoco.diagnose.residuals.residuals import (
 from deepkoco.diagnose.verdict.findings import evidence_for, finding, motion_of, over_classes
 from deepkoco.diagnose.verdict.midway import EXPLAINED, ChangedMidway, changed_midway, gain_of_later_part
 from deepkoco.diagnose.verdict.noise_causes import scatter_findings
+from deepkoco.diagnose.verdict.outweighed import outweighed
 from deepkoco.diagnose.verdict.same_as import evidence_of_priors, same_parameter
 from deepkoco.diagnose.verdict.under_colour import fit_under_colour, over_colour
 from deepkoco.diagnose.verdict.verdict import only_flexible, rivalled, verdict_of, without_explanation
@@ -113,6 +114,8 @@ def judge(request: DiagnosisRequest, explanation: Explanation) -> Judgement:
     white = left.lag_one <= coloured_from(base.train)
     doubts = _doubts(explanation, request.system, missing, left)
     verdict, why = verdict_of(found, base.start, base.train, without.reference, gain, white, doubts)
+    if verdict in ("cause", "ambiguous") and (why := outweighed(explanation)) is not None:
+        verdict = "unknown"
     doubts = doubts if why is None else (*doubts, why)
     if verdict == "unknown" and (found.accepted or found.lost is not None):
         verdict = without_explanation(reference, base.train, base.start, request.system)

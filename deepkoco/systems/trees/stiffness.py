@@ -31,8 +31,8 @@ SWING = 0.5  # turn of the fastest swinging motion in one integration step [rad]
 # 2.78. A log shows no error of a decay within a few milliseconds: commands that jump inside a step leave larger ones.
 STABLE = 1.9
 LARGEST = 2.5  # the same where a fit changes the parameters
-# Turn in one step that the Runge-Kutta method takes away most of: x = 2.2 leaves (1 - x^6 / 72 + x^8 / 576)^(1/2) = 0.61
-# of a swing, and twelve steps 0.3 %. Slower and faster ones last longer.
+# Turn in one step that the Runge-Kutta method takes away most of: x = 2.2 leaves (1 - x^6 / 72 + x^8 / 576)^(1/2) =
+# 0.61 of a swing, and twelve steps 0.3 %. Slower and faster ones last longer.
 FADING, FADED = 2.2, 12
 REDUNDANT = (
     1e-10  # smallest eigenvalue of an inertia matrix with a diagonal of ones, below which it is singular
@@ -58,11 +58,15 @@ class Pace(NamedTuple):
     shown: float = math.inf
 
 
+AS_IT_IS = Pace()
+
+
 def pace_of(interval: float) -> tuple[Pace, float]:
     """Pace that suits logs of some rate, and the longest step [s] with which it is followed.
 
-    Samples tell a swing from a slower one up to half a turn from one to the next. A faster one shows only where the joint
-    is once it is over. It is slowed down to `FADING` a step, and with `FADED` steps a sample it is over by the next one.
+    Samples tell a swing from a slower one up to half a turn from one to the next. A faster one shows only where the
+    joint is once it is over. It is slowed down to `FADING` a step, and with `FADED` steps a sample it is over by the
+    next one.
 
     Args:
         interval: Time from one sample to the next [s].
@@ -115,7 +119,7 @@ def added_armatures(
     passive: Mapping[str, Sequence[Scalar]],
     laws: Sequence[Law],
     step: float = 0.0,
-    pace: Pace = Pace(),
+    pace: Pace = AS_IT_IS,
 ) -> list[Scalar]:
     """Armature of each joint [kg m2 or kg] that keeps its motion at the pace that simulations follow; mostly 0.
 
@@ -176,7 +180,9 @@ def longest_step(
     turn = float(np.abs(_swings(_small_motions(inverse, damping, seen + weights), shown)[0]).max(initial=0.0))
     swings, others = _swings(_small_motions(inverse, damping, full + weights), math.inf)
     most = STABLE if math.isinf(shown) else FADING
-    fastest = max(float(np.abs(swings).max(initial=0.0)) / most, float(np.abs(others).max(initial=0.0)) / STABLE)
+    fastest = max(
+        float(np.abs(swings).max(initial=0.0)) / most, float(np.abs(others).max(initial=0.0)) / STABLE
+    )
     return 1.0 / max(turn / SWING, fastest, 1e-3)
 
 

@@ -8,8 +8,8 @@ import torch
 
 pytest.importorskip("mujoco")
 
-from deepkoco.fit.simulate.simulator import predict
 from deepkoco.fit.data.windows import cut_windows
+from deepkoco.fit.simulate.simulator import predict
 from deepkoco.logs.recording import Recording, Series
 from deepkoco.systems import ExtendedSystem, any_system
 from deepkoco.systems.trees.stiffness import pace_of
