@@ -350,6 +350,6 @@ def first_state(
             _, state[joints + s], state[s] = np.polyfit(t[c, :n], value[c, :n], 2)
     for c, s in enumerate(shows):
         n = min(int(valid[c].sum()), 3)
-        if s >= joints and n:
+        if joints <= s < 2 * joints and n:  # a channel may show none of the states
             state[s] = float(value[c, :n].mean())
     return state
