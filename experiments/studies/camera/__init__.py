@@ -1,0 +1,1 @@
+"""Study of a pendulum that is identified from pictures of it."""
