@@ -45,6 +45,7 @@ def test_examples_go_on_from_the_first_graph(
     [
         "analysis.md",
         "baselines.md",
+        "camera.md",
         pytest.param("design.md", marks=pytest.mark.study),
         "distractors.md",
         "environments.md",

@@ -16,10 +16,11 @@ from deepkoco.output.whole_file import whole_file
 from deepkoco.vision import pixel_of_angle
 from experiments.studies.camera.fits import LENGTH, SETTLING
 from experiments.studies.camera.report import save_figure
-from experiments.studies.camera.units import CAMERA, HiddenUnit, learned_background, record
+from experiments.studies.camera.units import CAMERA, HANGING, HiddenUnit, learned_background, record
 
 SECONDS = 5.0  # of the clip, after the start of the open loop
 FRAMES = 7  # of the strip
+STRIDE = 3  # of the clip's frames from one of them to the next
 ZOOM = 2
 RING = (30, 230, 60)  # RGB
 
@@ -54,7 +55,9 @@ def write_film(seed: int, tables: dict[str, pd.DataFrame], folder: Path, clip: b
     if clip:
         (folder / "film.webm").unlink(missing_ok=True)
         write_clip(folder / "film.webm", [np.concatenate(np.split(f, 3), 1) for f in frames], 25.0)
-    chosen = np.linspace(0, len(frames) - 1, FRAMES).round().astype(int)
+    # Around the widest swing: most of the time a pendulum hangs.
+    widest = int(np.argmax([abs(row["true_deg"] - np.rad2deg(HANGING)) for row in rows]))
+    chosen = (widest + STRIDE * (np.arange(FRAMES) - FRAMES // 2)).clip(0, len(frames) - 1)
     with figure_style():
         figure = Figure(figsize=(1.5 * FRAMES, 4.9), layout="constrained")
         for axis, k in zip(np.ravel(figure.subplots(1, FRAMES)), chosen, strict=True):

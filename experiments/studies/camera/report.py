@@ -67,8 +67,8 @@ A log of 22.5 s is fitted. On a second log, of other commands, the state is foun
 simulated without a look at the sensors. A value is the geometric mean over the units with its 95 % interval (Student's
 t on the logarithms, because errors of units differ by factors), then the smallest and the largest.
 
-| fit | knows | open loop, rms [deg] | below {GOAL:g} deg | reading, rms [deg] | CPU s |
-|---|---|---|---|---|---|
+| fit | knows | open loop, rms [deg] | times that of all | below {GOAL:g} deg | reading, rms [deg] | CPU s |
+|---|---|---|---|---|---|---|
 {_errors(units)}
 
 The angle is compared with the true one at its true time: a wrong delay shows as an error wherever the pendulum moves.
@@ -99,8 +99,8 @@ the fit is the camera (exposure, random age, edges of pixels, the middle of a di
 
 ![film](film.png)
 
-The film (with `--clip` also as `film.webm`), top down: the picture with a ring where the open-loop simulation believes the mass, what moved,
-and the share of the mass in each pixel.
+The film (with `--clip` also as `film.webm`), top down: the picture with a ring where the open-loop simulation believes
+the mass, what moved, and the share of the mass in each pixel.
 
 {as_markdown()}
 """
@@ -115,13 +115,24 @@ def _errors(units: pd.DataFrame) -> str:
         ]
         below = f"{int((own.open_loop_rms_deg < GOAL).sum())} of {len(own)}"
         seconds = f"{own.fit_cpu_s.median():.1f}" if kind in FREE else ""
-        rows.append(f"| {kind} | {KNOWS[kind]} | {values[0]} | {below} | {values[1]} | {seconds} |")
+        rows.append(
+            f"| {kind} | {KNOWS[kind]} | {values[0]} | {_ratio(units, kind)} | {below} | {values[1]} | {seconds} |"
+        )
     return "\n".join(rows)
 
 
 def _interval(values: np.ndarray) -> str:
     mean, low, high = geometric_mean(values)
     return f"{mean:.3g} [{low:.3g}, {high:.3g}], {values.min():.2g} to {values.max():.3g}"
+
+
+def _ratio(units: pd.DataFrame, kind: str) -> str:
+    """Open-loop error by that of the fit of all, unit by unit."""
+    of = units.pivot(index="seed", columns="fit", values="open_loop_rms_deg")
+    if kind == "all":
+        return "1"
+    mean, low, high = geometric_mean(np.asarray(of[kind] / of["all"], dtype=float))
+    return f"{mean:.2g} [{low:.2g}, {high:.2g}]"
 
 
 def _worst(estimates: pd.DataFrame, kind: str, name: str) -> float:
