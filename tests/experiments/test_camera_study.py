@@ -11,6 +11,7 @@ from experiments.studies.camera.figures import FITS, geometric_mean
 from experiments.studies.camera.fits import ALL, FREE, TRUE, open_loop
 from experiments.studies.camera.report import KNOWS
 from experiments.studies.camera.units import CAMERA, HiddenUnit, record
+from experiments.studies.camera.white_pixels import with_white_pixels
 
 
 @pytest.fixture(scope="module")
@@ -69,3 +70,13 @@ def test_tables_are_read_back(tmp_path):
     for name, table in read_tables(tmp_path / "new").items():
         pd.testing.assert_frame_equal(table, tables[name])
     assert all(table.empty for table in read_tables(tmp_path / "none").values())
+
+
+def test_white_pixels_take_the_place_of_those_that_were_read(taken):
+    unit = HiddenUnit.draw(0)
+    log, again, other = (with_white_pixels(taken, unit, seed) for seed in (0, 0, 1))
+    np.testing.assert_array_equal(log.channels["bearing"].value, again.channels["bearing"].value)
+    assert (log.channels["bearing"].value != other.channels["bearing"].value).any()
+    # 1 ms at some radians per second, and 0.05 pixels of 48, apart.
+    apart = log.channels["bearing"].value - taken.log.channels["bearing"].value
+    assert 0.0 < np.std(np.angle(np.exp(1j * apart))) < 0.03
