@@ -9,10 +9,11 @@ import numpy as np
 
 from deepkoco.diagnose.baseline import Baseline, prior_of_mean, with_floor_as_noise
 from deepkoco.diagnose.data import Data
+from deepkoco.diagnose.evidence.absorbed import refit_without
 from deepkoco.diagnose.evidence.event_windows import train_on_pushed
 from deepkoco.diagnose.tempered import refit_to_windows
 from deepkoco.fit.data.windows import Windows
-from deepkoco.fit.fit import Fit, FitProblem, Trial
+from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.fit.solve.fine_steps import with_steps_cut
 
 PATIENCE = 40  # iterations of a refit in which some parameters are kept
@@ -60,13 +61,9 @@ def with_parameters_kept(base: Refitted, names: Sequence[str]) -> Refitted:
     """
     if not names:
         return base
-    problem, refit = base.problem, base.reference
-    values = {**refit.values, **{n: base.start.values[n] for n in names}}
-    state, _ = problem.fit_states(values, refit.state)
-    free = tuple(n for n in refit.free if n not in names)
     most = PATIENCE if base.start.tempering == 1.0 else ROUGHLY
-    fit = problem.fit([Trial("refit", free, base.start.prior, values, state, refit.nuisance)], most)[0]
-    return base if fit.diverged else replace(base, reference=problem.recentred(fit))
+    fit = refit_without(base.problem, base.start, base.reference, names, most)
+    return base if fit.diverged else replace(base, reference=base.problem.recentred(fit))
 
 
 def refit_to_logs(learned: Baseline, data: Data) -> Refitted:

@@ -30,3 +30,10 @@ def test_a_mass_within_three_stated_deviations_is_no_cause_and_is_told(log):
     result = diagnose([log], Misread(0.12, 0.03), only=["changed", "coulomb"])
     assert result.verdict == "nothing"
     assert [m.name for m in result.moved] == ["pole_mass"]
+
+
+def test_the_headline_says_what_a_refit_within_a_wide_prior_is_worth(log):
+    result = diagnose([log], Misread(0.12, 0.2), only=["coulomb"])
+    assert result.verdict == "nothing"
+    assert result.moved == ()
+    assert "once its own parameters are refitted: as given, its held-out error" in headline(result)

@@ -1,3 +1,4 @@
+# pyright: reportAssignmentType=false, reportIncompatibleVariableOverride=false, reportIncompatibleMethodOverride=false
 """Proposed mappings of columns in counts: ticks of a turn, counts of encoders, goals in numbers of their own."""
 
 import re
@@ -129,3 +130,31 @@ def test_steps_of_a_goal_are_no_turns_and_its_ticks_those_with_which_the_equatio
     assert soll.offset == pytest.approx(-tick * zero, rel=0.01)
     assert any('"soll"' in doubt for doubt in doubts_of(survey, proposal))
     assert not any("begins again" in reason for reason in soll.reasons)
+
+
+def test_ticks_around_their_middle_are_told_by_the_limits_where_the_description_is_far_off(tmp_path):
+    class Servo(System):
+        """Its stiffness is not that of the log by far, so the equations hold in no unit."""
+
+        joint_units, joint_names = ("rad",), ("pan",)
+        parameters = (Parameter("stiffness", 4000.0, "1/s^2", 1.0, 1e5, 100.0, "over the inertia"),)
+        commands = (Channel("goal", "rad", "command", -3.2, 3.2),)
+        measurements = (Channel("pan", "rad", "measurement", noise_sd=1e-3, angle=True),)
+
+        def accelerations(self, p):
+            return lambda m: (p["stiffness"] * (m.efforts[0] - m.angles[0]) + m.load(0),)
+
+    goal = np.repeat(np.random.default_rng(3).uniform(-1.2, 1.2, len(T) // 40), 40)
+    angle, speed = np.zeros(len(T)), 0.0
+    for k in range(1, len(T)):
+        speed += 0.01 * (30.0 * (goal[k - 1] - angle[k - 1]) - 8.0 * speed)
+        angle[k] = angle[k - 1] + 0.01 * speed
+    frame = {"t": T}
+    for name, value in (("goal_position", goal), ("present_position", angle)):
+        frame[name] = np.round(value / (2 * np.pi) * 4096 + 2048).astype(int)
+    pd.DataFrame(frame).to_csv(tmp_path / "log.csv", index=False)
+    proposal = propose(survey_log(open_log(tmp_path / "log.csv")), Servo()).proposal
+    for choice in proposal.choices:
+        assert choice.scale == pytest.approx(2 * np.pi / 4096)
+        assert choice.offset == pytest.approx(-np.pi)
+        assert any("beyond their limits" in reason for reason in choice.reasons)

@@ -11,6 +11,7 @@ import numpy as np
 from deepkoco.diagnose.causes import Cause, catalogue
 from deepkoco.diagnose.causes.timing import LOST_COMMANDS
 from deepkoco.diagnose.causes.units import LARGE_MISFIT
+from deepkoco.diagnose.evidence.absorbed import absorbed, refit_without
 from deepkoco.diagnose.evidence.around import lowest_around
 from deepkoco.diagnose.evidence.elimination import (
     BENDING,
@@ -70,7 +71,7 @@ class Selection(SelectionTask):
 
     def first_ranking(self, reference: Fit, missing: Sequence[MissingTorque]) -> First:
         """Return the ranking of the whole catalogue on top of a refit."""
-        self.before, self.cost = reference.chi2, reference.cost
+        self.compare_with(reference)
         hints = self.hints(self.problem, reference, missing)
         self.progress("fitting every cause")
         first = rank(
@@ -90,7 +91,7 @@ class Selection(SelectionTask):
         """Return the first ranking, its best candidates fitted to the end, and the selection."""
         first, hints = asked
         reference = first.reference
-        self.before, self.cost = reference.chi2, reference.cost
+        self.compare_with(reference)
         nothing = Selected(reference, (), (), self.problem)
         forward = self._forward(nothing, first, hints)
         first = on_refit(forward.steps) or first
@@ -105,7 +106,7 @@ class Selection(SelectionTask):
     def from_ranking(self, first: Ranking) -> Selected:
         """Select causes on top of the reference of a ranking of the whole catalogue, without lost commands."""
         reference = first.reference
-        self.before, self.cost = reference.chi2, reference.cost
+        self.compare_with(reference)
         hints = self.hints(self.problem, reference, missing_torque(self.problem, reference))
         found = self._forward(Selected(reference, (), (), self.problem), first, hints)
         return self.without_tolerated(replace(self._pruned(found), minor=found.minor))
@@ -117,7 +118,7 @@ class Selection(SelectionTask):
             found: The selection; its fit is one of this task's windows.
             reference: Refit of the baseline to these windows.
         """
-        self.before, self.cost = reference.chi2, reference.cost
+        self.compare_with(reference)
         for _ in range(MAX_ROUNDS):
             kept = self._kept(reconsidered(self, found, 1))
             if kept.accepted == found.accepted:
@@ -263,8 +264,20 @@ class Selection(SelectionTask):
         If they do, they stay, and the verdict tests them.
         """
         rest, less = without_kinds(problem, self.start, kept, fit, kinds)
-        gives_little = less.chi2 - fit.chi2 < most * (self.before - fit.chi2)
+        if len(rest) == len(kept):
+            return kept, fit
+        gives_little = less.chi2 - fit.chi2 < most * (self._chi2_before(problem, rest, less) - fit.chi2)
         return (rest, less) if gives_little else (kept, fit)
+
+    def _chi2_before(self, problem: FitProblem, causes: Sequence[Cause], fit: Fit) -> float:
+        """Return what the refit leaves; where it takes up by its parameters what these causes explain, without that.
+
+        What other parameters then make up for counts by how far that is from their priors.
+        """
+        if self.refit is None or not (names := absorbed(problem, self.start, self.refit, causes, fit)):
+            return self.before
+        without = refit_without(problem, self.start, self.refit, names, PATIENCE)
+        return self.before if without.diverged else max(self.before, without.cost - self.refit.penalty)
 
     def _with_losses(self, nothing: Selected, forward: Selected, plain: Selected) -> Selected | None:
         """Accept lost commands and further causes if they explain clearly more than causes alone; else return None.

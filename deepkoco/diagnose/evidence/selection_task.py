@@ -51,9 +51,14 @@ class SelectionTask:
         self.loss_detection = detection if loss_detection is None else loss_detection
         self.problem = FitProblem(start.system, train)
         self.before = self.cost = math.inf  # chi2 of the refit; its cost, with the penalty of the prior
+        self.refit: Fit | None = None
         # Whether causes are told from what is alike and compared again; else the fit alone is wanted, and no name.
         self.naming = True
         self.usual_pushes: set[str] = set()  # pushes that are no stronger than those of healthy logs
+
+    def compare_with(self, refit: Fit) -> None:
+        """Measure what causes explain from this refit on."""
+        self.refit, self.before, self.cost = refit, refit.chi2, refit.cost
 
     def left(self, fit: Fit) -> bool:
         """Return whether a fit leaves more than noise."""

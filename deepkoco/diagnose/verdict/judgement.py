@@ -9,6 +9,7 @@ import numpy as np
 
 from deepkoco.diagnose.causes import Cause, is_changed
 from deepkoco.diagnose.diagnosis import Finding, Verdict
+from deepkoco.diagnose.evidence.absorbed import absorbed
 from deepkoco.diagnose.evidence.classes import width
 from deepkoco.diagnose.evidence.how_probable import how_probable
 from deepkoco.diagnose.evidence.proportion import in_proportion
@@ -107,7 +108,9 @@ def judge(request: DiagnosisRequest, explanation: Explanation) -> Judgement:
 
     scattered = scatter(final)
     left = dispersion(final, base.train)
-    without = with_parameters_kept(base, [n for c in found.accepted if is_changed(c) for n in c.free])
+    changed = [n for c in found.accepted if is_changed(c) for n in c.free]
+    taken_up = absorbed(found.acting, base.start, reference, found.accepted, final)
+    without = with_parameters_kept(base, [*changed, *(n for n in taken_up if n not in changed)])
     missing = missing_torque(base.problem, without.reference, left.deflation)
     gain = gain_on_held_out(without, final, found.accepted, seed)
     unfitted = _with_gain(explanation.unfitted, base, gain)

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from deepkoco.diagnose.causes import Cause, is_changed
+from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.diagnosis import Estimate, Evidence, Moved
-from deepkoco.diagnose.evidence.screening import SAME
+from deepkoco.diagnose.evidence.absorbed import alike
 from deepkoco.fit.fit import Fit, FitProblem
 
 MOST_LISTED = 3  # parameters of the refit that a sentence lists
@@ -30,31 +30,15 @@ def same_parameter(
         given: Values of the baseline.
         deflation: Factor on the covariance of the fit.
     """
-    if is_changed(cause) or cause.effect == "event" or len(cause.free) != 1 or cause.free[0] not in fit.free:
-        return ()
-    (own,) = cause.free
-    system = problem.system
-    size = fit.values[own] - given[own]
     found = []
-    for p in system.base.parameters:
-        value = fit.values[p.name] + size
-        if p.unit != system.parameter(own).unit or not p.low <= value <= p.high or p.name not in fit.free:
-            continue
-        without = {**fit.values, own: given[own]}
-        lanes = [fit.values, without, {**without, p.name: value}]
-        theta = np.array([[lane[n] for n in problem.names] for lane in lanes])
-        shape = (len(lanes), 1, 1)
-        shown = problem.predict(theta, fit.state.repeat(shape), fit.nuisance.repeat(len(lanes), 1))
-        shown = shown * problem.weight
-        if not (shown[2] - shown[0]).norm() <= SAME * (shown[1] - shown[0]).norm():
-            continue
-        i, j = fit.free.index(own), fit.free.index(p.name)
+    for name, value in alike(problem, fit, cause, given).items():
+        p, i, j = problem.system.parameter(name), fit.free.index(cause.free[0]), fit.free.index(name)
         c = fit.covariance
         reach = 1.96 * float(np.sqrt(max(c[i, i] + c[j, j] + 2.0 * c[i, j], 0.0) * deflation))
-        before = given[p.name]
+        before = given[name]
         found.append(
             Moved(
-                p.name,
+                name,
                 before,
                 Estimate(value, max(value - reach, p.low), min(value + reach, p.high), p.unit),
                 abs(value - before) / p.prior_sd,

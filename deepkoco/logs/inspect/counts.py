@@ -16,6 +16,8 @@ PER_TURN = (
     4800, 9600, 36000,
 )  # fmt: skip
 """Counts per turn of usual encoders, after the four edges of each line, and of usual servos."""
+ABSOLUTE = tuple(2**k for k in range(8, 18))
+"""Those of magnetic encoders that know their angle without a reference, as in servos: whole bits."""
 ARCS = {1229: 1024}
 """Counts that a turn would have on servos that number an arc, and those of the arc: 1024 over 300 deg. They never begin
 again."""
@@ -55,10 +57,14 @@ def in_counts(choice: Choice, samples: Samples, least: int = MANY) -> bool:
     return bool(np.all(value == np.round(value))) and len(np.unique(value)) > least
 
 
-def signless(largest: float) -> list[Counts]:
-    """Readings of numbers up to a largest one, none below 0, whose middle is the angle 0."""
-    whole = {**{n: n for n in PER_TURN}, **ARCS}
-    return [Counts(n, False, numbers // 2) for n, numbers in sorted(whole.items()) if numbers > largest]
+def signless(smallest: float, largest: float) -> list[Counts]:
+    """Readings of numbers, none below 0, whose middle is the angle 0; a servo that goes both ways passes it."""
+    whole = {**{n: n for n in ABSOLUTE}, **ARCS}
+    return [
+        Counts(n, False, numbers // 2)
+        for n, numbers in sorted(whole.items())
+        if smallest < numbers // 2 < largest < numbers
+    ]
 
 
 def turn_of(value: np.ndarray) -> Counts | None:

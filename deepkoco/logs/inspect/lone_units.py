@@ -65,7 +65,7 @@ def with_likely_units(system: System, proposal: Proposal, samples: Mapping[str, 
         return proposal
     tried = [_readings(group, samples) for group in groups]
     best = tuple(readings[0] for readings in tried)
-    alike: tuple[tuple[Reading, ...], ...] = ((),) * len(groups)
+    alike: Sequence[Sequence[Reading] | None] = ((),) * len(groups)
     if any(len(readings) > 1 for readings in tried):
         if positions is None or len(drives) < len(system.commands):
             tried = [readings[:1] for readings in tried]
@@ -82,10 +82,13 @@ def with_likely_units(system: System, proposal: Proposal, samples: Mapping[str, 
     return replace(proposal, choices=tuple(changed.get(c.channel.name, c) for c in proposal.choices))
 
 
-def _read(choice: Choice, reading: Reading, alike: Sequence[Reading]) -> Choice:
+def _read(choice: Choice, reading: Reading, alike: Sequence[Reading] | None) -> Choice:
+    """The choice with a reading; ``alike`` are those that fit about as well, None where limits alone decide."""
     counts = reading.counts
     if counts is not None and counts.wraps:
         why = f"it begins again after {counts.per_turn}: ticks of a turn"
+    elif alike is None:
+        why = f"in {choice.unit}, commands would be far beyond their limits; of a servo's ticks, only {reading} are not"
     else:
         why = f"the equations fit it in {reading} and not in {choice.unit}"
         turns = {r.counts.per_turn for r in alike if r.counts is not None and r.counts != counts}
@@ -112,7 +115,7 @@ def _readings(group: Sequence[Choice], samples: Mapping[str, Samples]) -> list[R
         units += [Reading("rad", Counts(n, False)) for n in sorted({*PER_TURN, *ARCS})]
         values = np.concatenate([samples[c.column.label][1] for c in group if c.column is not None])
         if values.min() >= 0.0:
-            units += [Reading("rad", counts) for counts in signless(float(values.max()))]
+            units += [Reading("rad", counts) for counts in signless(float(values.min()), float(values.max()))]
     return [Reading(first.unit), *units]
 
 
@@ -166,10 +169,12 @@ def _best_readings(
     tried: Sequence[Sequence[Reading]],
     drives: list[Choice],
     samples: Mapping[str, Samples],
-) -> tuple[tuple[Reading, ...], tuple[tuple[Reading, ...], ...]]:
-    """The reading of each group, and for each group the readings of it that fit about as well."""
+) -> tuple[tuple[Reading, ...], Sequence[Sequence[Reading] | None]]:
+    """The reading of each group, and for each group those that fit about as well; None where limits alone decide."""
     proposed, none = tuple(readings[0] for readings in tried), ((),) * len(tried)
     found: dict[tuple[Reading, ...], float] = {}
+    whole: list[tuple[Reading, ...]] = []
+    impossible = False
     if len(list(product(*tried))) == 1:
         return proposed, none
     for readings in product(*tried):
@@ -180,12 +185,16 @@ def _best_readings(
         taken = {c.channel.name: r for group, r in zip(groups, readings, strict=True) for c in group}
         # Linear equations hold in any unit that goals and positions share: the limits of the commands then decide.
         beyond = any(_beyond(c, taken, samples) for c in drives)
+        impossible = impossible or (beyond and readings == proposed)
+        if not beyond and all(r.counts is not None and r.counts.zero for r in readings):
+            whole.append(readings)
         misfit = math.inf if beyond else _misfit(system, positions, taken, drives, samples)
         unsure = any(not c.wraps for c in counted)
         found[readings] = math.inf if unsure and misfit > FITS else misfit
     best = min(found, key=lambda readings: found[readings])
     if not found[best] < LESS * found[proposed]:
-        return proposed, none
+        # Whatever a robot lacks, it is not sent far beyond its limits. One reading without a sign may be left.
+        return (whole[0], (None,) * len(tried)) if impossible and len(whole) == 1 else (proposed, none)
     alike: list[set[Reading]] = [set() for _ in groups]
     for readings, misfit in found.items():
         for own, r, b in zip(alike, readings, best, strict=True):

@@ -11,7 +11,7 @@ from deepkoco.systems.trees.mujoco_library import mujoco_library
 from experiments.studies.diagnosis.new_users.cases import Case
 from experiments.studies.diagnosis.new_users.workshop.bench import Robot, Values, held, read, write_columns
 
-RATE, SECONDS, INNER = 400, 20, 5
+RATE, SECONDS, INNER = 400, 20, 50  # steps of 0.05 ms: of 0.5 ms, Euler's error is ten times the noise
 FILE = Path(__file__).parents[1] / "robots" / "springleg.xml"
 
 
@@ -27,6 +27,11 @@ def write(path: Path, p: Values, rng: Any) -> None:
     model.dof_frictionloss[:] = p["friction"], p["friction"] + p.get("knee_rub", 0.0)
     model.jnt_stiffness[1] = p["spring"]
     model.actuator_gear[1, 0] *= p.get("knee_gain", 1.0)
+    # Else a joint creeps by 3 mrad/s where friction holds it: MuJoCo's usual friction gives by a tenth.
+    model.dof_solref[:], model.dof_solimp[:] = (
+        (2.0 * model.opt.timestep, 1.0),
+        (0.9999, 0.9999, 0.001, 0.5, 2.0),
+    )
     state = mujoco.MjData(model)
     n = RATE * SECONDS
     goals = np.stack([held(rng, n, 100, 500, 0.8), held(rng, n, 80, 400, 1.0)], 1)
@@ -51,5 +56,10 @@ ROBOT = Robot(
         "springleg_healthy": Case("springleg"),
         "springleg_spring": Case("springleg", {"spring": 6.0}, ("changed(stiffness(knee))",), 6.0),
         "springleg_weak": Case("springleg", {"knee_gain": 0.75}, ("gain(knee)", "changed(gear(knee))"), 0.75),
+        # The description has dry friction in each joint; more of it is either another value, or friction beside it.
+        "springleg_rub": Case(
+            "springleg", {"knee_rub": 0.4},
+            ("coulomb(knee)", "stribeck(knee)", "bristle(knee)", "changed(frictionloss(knee))"), 0.4,
+        ),
     },
 )  # fmt: skip
