@@ -21,6 +21,7 @@ import torch
 
 from deepkoco.diagnose.baseline import FEW_WINDOWS, Baseline, few_windows, on_half_windows, refit_sharply
 from deepkoco.diagnose.causes.units import LARGE_MISFIT
+from deepkoco.diagnose.late_commands import LATE, common_delay, sizes_when_late, with_delay_free
 from deepkoco.diagnose.one_controller import with_surplus_as_damping
 from deepkoco.diagnose.one_make import covariance_of, groups_of
 from deepkoco.fit.data.halves import halved
@@ -113,7 +114,12 @@ def _from_other_sizes(declared: Baseline, windows: Windows) -> tuple[Baseline, W
     # With states that suit the values as given, these have the better chance.
     problem = FitProblem(declared.system, some)
     state, _ = problem.fit_states(declared.values, some.state)
-    values, left = search_scales(problem, sizes_of_joints(declared), declared.values, state)
+    sizes, delay = sizes_of_joints(declared), common_delay(declared.system)
+    values, left = search_scales(problem, sizes, declared.values, state)
+    if delay is not None:
+        late, less = sizes_when_late(problem, sizes, declared.values, state, delay)
+        if less < LATE * left:
+            values, left, declared = late, less, with_delay_free(declared, delay)
     if left > FAR_OFF:
         return None
     values = with_surplus_as_damping(declared, values)

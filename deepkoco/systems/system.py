@@ -304,7 +304,7 @@ class System(SignalPath, NamedJoints, Drawn, metaclass=Declared):
         """The same system, for simulations that are compared with logs of some rate.
 
         Where its fastest motions are over within a small part of a sample, their simulation need not follow them: it
-        may take longer steps, as long as what such a log shows stays the same. It has the same parameters and channels.
+        may take longer steps, as long as what such a log shows stays the same. Parameters and channels are the same.
 
         Args:
             interval: Time from one measurement to the next [s].

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from deepkoco.engines.command_window import command_window
 from deepkoco.engines.ode import World
 from deepkoco.graph import Connection, Episode, Graph, Supervisor
-from deepkoco.graph.delay import Delay, make_delay
+from deepkoco.graph.delay import Delay
 from deepkoco.logs.recording import Recording, Series
 from deepkoco.systems import System, make_system
 from deepkoco.vision.camera import Camera
@@ -53,7 +52,6 @@ def camera_chain(
     """
     system = make_system("pendulum") if system is None else system
     background = scene.backdrop if background is None else background
-    late = make_delay(actuation_delay)
     work = 5e-4  # of a reader at 160 pixels [s]
     nodes = [
         World(system, world_rate),
@@ -74,9 +72,8 @@ def camera_chain(
         Connection("world", "tachometer"),
         Connection("angle", "agent"),
         Connection("tachometer", "agent"),
-        Connection(
-            "agent", "world", delay=late, window=command_window(late, CONTROL_RATE, world_rate), skip=True
-        ),
+        # Ticks of the world may hold two commands: a window for the one before.
+        Connection("agent", "world", delay=actuation_delay, window=2, skip=True),
     ]
     return Graph(nodes, connections)
 

@@ -44,7 +44,7 @@ def with_far_parameters(start: Baseline, found: Selected, causes: Sequence[Cause
     names = [n for n in far_names(start, fit, deflation) if n not in named]
     if causes is not None:
         asked = {c.name for c in causes}
-        names = [n for n in names if f"{CHANGED.name}({n})" in asked]
+        names = [n for n in names if _cause_of(n) in asked]
     if not names:
         return found
     prior = prior_with(problem, start, found.accepted, fit.values)
@@ -52,7 +52,7 @@ def with_far_parameters(start: Baseline, found: Selected, causes: Sequence[Cause
     samples, known = problem.windows.samples / spread.correlation, catalogue(start.system.base)
     steps = []
     for name, less in zip(names, fits, strict=True):
-        cause = known[f"{CHANGED.name}({name})"]
+        cause = known[_cause_of(name)]
         # A simulation that diverges with the value given speaks against it, but it has no size.
         ratio = 0.0 if less.diverged else max(less.cost - fit.cost, 0.0)
         score = ratio / deflation - penalty(cause, samples, 1)
@@ -70,20 +70,29 @@ def with_far_parameters(start: Baseline, found: Selected, causes: Sequence[Cause
 def far_names(start: Baseline, fit: Fit, deflation: float) -> list[str]:
     """Return the parameters of which the whole 95 % interval is far from the value given.
 
+    A parameter of an effect that the refit frees, such as a delay of all commands, is far where it is not 0.
+
     Args:
         start: The baseline.
         fit: A fit of its parameters.
         deflation: Factor on the covariance of the fit.
     """
-    found = []
+    found, freed = [], () if start.healthy is not None else start.effects
     for name in start.prior.names:
-        if "." in name or name not in fit.free:
+        effect = name.rpartition(".")[0]
+        if name not in fit.free or (effect and effect not in freed):
             continue
         declared, i = start.system.parameter(name), fit.free.index(name)
         reach = 1.96 * float(np.sqrt(max(fit.covariance[i, i], 0.0) * deflation))
-        if abs(fit.values[name] - start.values[name]) - reach > FAR * declared.prior_sd:
+        usual = 0.0 if effect else FAR * declared.prior_sd
+        if abs(fit.values[name] - start.values[name]) - reach > usual:
             found.append(name)
     return found
+
+
+def _cause_of(name: str) -> str:
+    """Name of the cause that a parameter belongs to."""
+    return name.rpartition(".")[0] or f"{CHANGED.name}({name})"
 
 
 def _at_given(start: Baseline, prior: Prior, fit: Fit, name: str) -> Trial:

@@ -108,7 +108,8 @@ def judge(request: DiagnosisRequest, explanation: Explanation) -> Judgement:
 
     scattered = scatter(final)
     left = dispersion(final, base.train)
-    changed = [n for c in found.accepted if is_changed(c) for n in c.free]
+    freed = () if base.start.healthy is not None else base.start.effects
+    changed = [n for c in found.accepted if is_changed(c) or c.effect in freed for n in c.free]
     taken_up = absorbed(found.acting, base.start, reference, found.accepted, final)
     without = with_parameters_kept(base, [*changed, *(n for n in taken_up if n not in changed)])
     missing = missing_torque(base.problem, without.reference, left.deflation)

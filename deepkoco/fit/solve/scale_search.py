@@ -69,6 +69,12 @@ def search_scales(
     return found, cost / start if start > 0.0 else 1.0
 
 
+def cost_of(problem: ShootingProblem, values: Mapping[str, float], state: Tensor) -> float:
+    """Return the cost that a search compares: chi2 of all windows, each up to a multiple of their median."""
+    point = np.array([[float(values[n]) for n in problem.names]])
+    return float(_costs(problem, point, state).sum())
+
+
 def _combined(
     problem: ShootingProblem, columns: Mapping[int, Mapping[str, int]], given: np.ndarray, state: Tensor
 ) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -18,7 +19,7 @@ from deepkoco.systems.trees.loads import actuator_forces, clipped, passive_loads
 from deepkoco.systems.trees.outside_forces import outside_forces, with_forces
 from deepkoco.systems.trees.parameters import Law, actuator_law, joint_value, link_inertias
 from deepkoco.systems.trees.scalars import Scalar, Triple, add, total
-from deepkoco.systems.trees.stiffness import LONGEST_STEP, Pace, added_armatures
+from deepkoco.systems.trees.stiffness import LONGEST_STEP, USUAL, Pace, added_armatures, added_dampings
 from deepkoco.systems.trees.tree import Joint, OutsideForce, Tree
 
 
@@ -27,7 +28,7 @@ class Steadying(NamedTuple):
 
     least_inertias: tuple[float, ...]  # of each joint [kg m2 or kg]
     longest_step: float  # that the values of the file allow [s]
-    pace: Pace = Pace()
+    pace: Pace = USUAL
 
 
 class Numbers(NamedTuple):
@@ -51,6 +52,10 @@ class Numbers(NamedTuple):
             least, pace = steadying.least_inertias, steadying.pace
             added = added_armatures(tree.actuators, least, passive, laws, step, pace)
             passive["armature"] = [add(a, b) for a, b in zip(passive["armature"], added, strict=True)]
+            if math.isfinite(pace.shown):
+                inertias = [add(a, b) for a, b in zip(least, added, strict=True)]
+                added = added_dampings(tree.actuators, inertias, passive, laws, pace.shown)
+                passive["damping"] = [add(a, b) for a, b in zip(passive["damping"], added, strict=True)]
         inertias, forces = link_inertias(tree, parameters), outside_forces(tree, parameters)
         gravity, shape = turned_gravity(tree.gravity, parameters), shaped(tree, parameters)
         if shape is None:

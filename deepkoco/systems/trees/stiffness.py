@@ -32,8 +32,12 @@ SWING = 0.5  # turn of the fastest swinging motion in one integration step [rad]
 STABLE = 1.9
 LARGEST = 2.5  # the same where a fit changes the parameters
 # Turn in one step that the Runge-Kutta method takes away most of: x = 2.2 leaves (1 - x^6 / 72 + x^8 / 576)^(1/2) =
-# 0.61 of a swing, and twelve steps 0.3 %. Slower and faster ones last longer.
+# 0.61 of a swing; slower and faster ones last longer. In twelve steps 0.3 % is left, and a whole turn is one of twelve
+# times `SWING`.
 FADING, FADED = 2.2, 12
+# Share of the critical damping that a swing too fast for a log gets: it then overshoots by 4 %. Without a damping, the
+# place at which dry friction ends a swing depends on each of its turns, and no slope of a fit knows them.
+CALM = 0.7
 REDUNDANT = (
     1e-10  # smallest eigenvalue of an inertia matrix with a diagonal of ones, below which it is singular
 )
@@ -58,15 +62,15 @@ class Pace(NamedTuple):
     shown: float = math.inf
 
 
-AS_IT_IS = Pace()
+USUAL = Pace()
 
 
 def pace_of(interval: float) -> tuple[Pace, float]:
     """Pace that suits logs of some rate, and the longest step [s] with which it is followed.
 
-    Samples tell a swing from a slower one up to half a turn from one to the next. A faster one shows only where the
-    joint is once it is over. It is slowed down to `FADING` a step, and with `FADED` steps a sample it is over by the
-    next one.
+    Samples tell a swing from a slower one up to half a turn from one to the next; up to a whole turn it is followed. A
+    faster one shows only where the joint is once it is over. It is slowed down to `FADING` a step, and ends within a
+    sample.
 
     Args:
         interval: Time from one sample to the next [s].
@@ -74,7 +78,7 @@ def pace_of(interval: float) -> tuple[Pace, float]:
     Source: Shannon, Communication in the presence of noise (1949), for the half turn.
     """
     step = min(interval / FADED, LONGEST_STEP)
-    pace = Pace(min(FASTEST, STABLE / step), min(FASTEST_SWING, FADING / step), math.pi / interval)
+    pace = Pace(min(FASTEST, STABLE / step), min(FASTEST_SWING, FADING / step), 2.0 * math.pi / interval)
     return pace, step
 
 
@@ -119,7 +123,7 @@ def added_armatures(
     passive: Mapping[str, Sequence[Scalar]],
     laws: Sequence[Law],
     step: float = 0.0,
-    pace: Pace = AS_IT_IS,
+    pace: Pace = USUAL,
 ) -> list[Scalar]:
     """Armature of each joint [kg m2 or kg] that keeps its motion at the pace that simulations follow; mostly 0.
 
@@ -141,6 +145,34 @@ def added_armatures(
     return result
 
 
+def added_dampings(
+    actuators: Sequence[Actuator],
+    inertias: Sequence[Scalar],
+    passive: Mapping[str, Sequence[Scalar]],
+    laws: Sequence[Law],
+    shown: float,
+) -> list[Scalar]:
+    """Damping of each joint [N m s/rad or N s/m] that ends swings which are too fast for a log; mostly 0.
+
+    A swing of w rad/s gets the damping ratio `CALM`, and of w between ``shown`` and twice it a part of that. Goals that
+    move evenly are then followed 2 `CALM` / w later, a small part of a sample.
+
+    Args:
+        actuators: Of the tree.
+        inertias: Of each joint, with what simulations add [kg m2 or kg].
+        passive: Damping and stiffness of each joint.
+        laws: Gain and bias of each actuator.
+        shown: Fastest swing that a log shows [rad/s].
+    """
+    result: list[Scalar] = []
+    for inertia, damping, spring in zip(inertias, *resistances(actuators, passive, laws), strict=True):
+        whole = mul(spring, inertia) ** 0.5
+        swing = (spring / inertia) ** 0.5
+        part = _larger(0.0, add(1.0, mul(-1.0, _larger(0.0, add(2.0, mul(-1.0 / shown, swing))))))
+        result.append(_larger(add(mul(2.0 * CALM, mul(part, whole)), mul(-1.0, damping)), 0.0))
+    return result
+
+
 def resistances(
     actuators: Sequence[Actuator], passive: Mapping[str, Sequence[Scalar]], laws: Sequence[Law]
 ) -> tuple[list[Scalar], list[Scalar]]:
@@ -158,7 +190,11 @@ def resistances(
 
 
 def longest_step(
-    tree: Tree, armatures: Sequence[float], laws: Sequence[Law], shown: float = math.inf
+    tree: Tree,
+    armatures: Sequence[float],
+    laws: Sequence[Law],
+    shown: float = math.inf,
+    dampings: Sequence[float] | None = None,
 ) -> float:
     """Longest Runge-Kutta step [s] for the fastest small motion of a tree, over random poses.
 
@@ -172,8 +208,11 @@ def longest_step(
         armatures: Of each joint, with what is added.
         laws: Gain and bias of each actuator.
         shown: Fastest swing that a log shows [rad/s].
+        dampings: Of each joint, with what is added; None adds nothing.
     """
     passive = {kind: [getattr(joint, kind) for joint in tree.joints] for kind in ("damping", "stiffness")}
+    if dampings is not None:
+        passive["damping"] = list(dampings)
     inverse, weights = _inverses(tree, armatures), _weights(tree)
     damping, full = (np.array(x, dtype=float) for x in resistances(tree.actuators, passive, laws))
     seen = np.minimum(full, np.array(passive["stiffness"], dtype=float) + _limits(tree))

@@ -58,7 +58,14 @@ from deepkoco.systems.trees.rollout import TreeRollout, is_known
 from deepkoco.systems.trees.scalars import Triple, mul, total
 from deepkoco.systems.trees.scales import command_range, delivered, load_scales, motion_loads
 from deepkoco.systems.trees.settings import TreeSettings
-from deepkoco.systems.trees.stiffness import Pace, least_inertias, longest_step, pace_of, refuse_redundant
+from deepkoco.systems.trees.stiffness import (
+    USUAL,
+    Pace,
+    least_inertias,
+    longest_step,
+    pace_of,
+    refuse_redundant,
+)
 from deepkoco.systems.trees.tree import Tree, TreeError
 from deepkoco.systems.trees.visible import visible_parameters
 
@@ -112,7 +119,7 @@ class TreeSystem(System):
         self.force_sites = tuple(body.name for body in tree.bodies)
         refuse_redundant(tree, self.origin or self.name)
         least = least_inertias(tree)
-        self._longest_step, self._steadying = self._at_pace(least, Pace())
+        self._longest_step, self._steadying = self._at_pace(least, USUAL)
         self.tip = settings.tip(self.payload_sites, tip_place(tree))
         self._view = choose_view(tree)
         self._arrays = TreeArrays(tree)
@@ -183,7 +190,8 @@ class TreeSystem(System):
     ) -> tuple[float, Steadying]:
         """Return the longest step [s] at a pace, and what decides the armatures that simulations add."""
         nominal = Numbers.of(self.tree, {}, Steadying(least, 0.0, pace))
-        step = longest_step(self.tree, nominal.passive["armature"], nominal.laws, pace.shown)
+        armatures, dampings = nominal.passive["armature"], nominal.passive["damping"]
+        step = longest_step(self.tree, armatures, nominal.laws, pace.shown, dampings)
         return min(step, longest), Steadying(least, min(step, longest), pace)
 
     @property
