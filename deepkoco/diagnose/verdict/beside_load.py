@@ -21,6 +21,8 @@ from deepkoco.diagnose.refitted import Refitted
 from deepkoco.diagnose.residuals.residuals import SLOTS, dispersion, missing_torque
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 
+KEPT = 0.5  # share of a size that a right cause keeps beside a load for what it leaves
+
 
 def idle_beside(base: Refitted, found: Selected, learned: ResidualModel, seed: int) -> str | None:
     """Return why no cause is named, if a learned load explains a log to its noise and causes add nothing to it.
@@ -43,7 +45,7 @@ def idle_beside(base: Refitted, found: Selected, learned: ResidualModel, seed: i
         own = _load_beside(base, found, seed)
     except DivergedError:
         return None
-    if own is None or _ahead(base, found, own, learned) > 0.0:
+    if own is None or _ahead(base, found, own, learned) > 0.0 or _keep_a_size(base, found, own):
         return None
     names, left = " and ".join(c.name for c in found.accepted), found.final.chi2 / train.samples
     return (
@@ -67,3 +69,13 @@ def _ahead(base: Refitted, found: Selected, own: ResidualModel, learned: Residua
     charge = (len(own.terms) - len(learned.terms)) * math.log(samples)
     charge += sum(penalty(cause, samples, SLOTS * len(base.train)) for cause in found.accepted)
     return (learned.fit.cost - own.fit.cost) / max(spread.deflation, base.start.least_deflation) - charge
+
+
+def _keep_a_size(base: Refitted, found: Selected, own: ResidualModel) -> bool:
+    """Return whether a size of the causes stays as large beside their load as a share of what it was without one.
+
+    A bias is also a term of a load. Then both explanations are one, and neither is ahead; but the bias keeps its size.
+    """
+    null = base.start.values
+    sizes = [n for cause in found.accepted for n in cause.sizes]
+    return any(abs(own.fit.values[n] - null[n]) >= KEPT * abs(found.final.values[n] - null[n]) for n in sizes)
