@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from deepkoco.diagnose.baseline import LONG, Baseline
-from deepkoco.diagnose.causes import Cause
+from deepkoco.diagnose.causes import Cause, is_changed
 from deepkoco.diagnose.data_sheet import with_usual_spread
 from deepkoco.diagnose.evidence.classes import APART
 from deepkoco.diagnose.evidence.forward import Selection
@@ -213,8 +213,9 @@ def _selected_again(
     again = replace(base, learned=learned, start=start, reference=reference)
     # The weights have not paid for the choice of a pattern of lost commands.
     wanted = detection_of(request, replace(explanation, weighed=True))
+    rivals = [_started_as_weighed(c, explanation.weights) for c in plausible]
     selection = Selection(
-        start, base.train, base.held, plausible, wanted, request.progress, request.limit, request.detection
+        start, base.train, base.held, rivals, wanted, request.progress, request.limit, request.detection
     )
     first, named = selection.run(reference, missing_torque(base.problem, reference))
     again = replace(again, reference=first.reference)
@@ -231,6 +232,19 @@ def _selected_again(
     joined = (*explanation.joined, *(c.name for c in seen if c.name not in explanation.joined))
     learned = extended(base.start, seen)
     return explained(request, learned, explanation.unfitted, joined, more - 1)
+
+
+def _started_as_weighed(cause: Cause, weights: Answer | None) -> Cause:
+    """Return a cause that starts also from its sizes in the explanation that weighs most of those that hold it.
+
+    The refit without it may have been dragged so far that no other start leads back.
+    """
+    holding = (e.parameters.get(cause.name) for e in (() if weights is None else weights.explanations))
+    sizes = next((found for found in holding if found), None)
+    if sizes is None or is_changed(cause) or cause.effect == "event":
+        return cause
+    values = {name: estimate.value for name, estimate in sizes.items()}
+    return replace(cause, starts=lambda hint: [*cause.starts(hint), dict(values)])
 
 
 def _within(start: Baseline, sizes: Sequence[Parameter], fit: Fit) -> bool:

@@ -35,6 +35,7 @@ from deepkoco.diagnose.residuals.residuals import (
     dispersion,
     missing_torque,
 )
+from deepkoco.diagnose.verdict.beside_load import idle_beside
 from deepkoco.diagnose.verdict.findings import evidence_for, finding, motion_of, over_classes
 from deepkoco.diagnose.verdict.midway import EXPLAINED, ChangedMidway, changed_midway, gain_of_later_part
 from deepkoco.diagnose.verdict.noise_causes import scatter_findings
@@ -44,6 +45,7 @@ from deepkoco.diagnose.verdict.under_colour import fit_under_colour, over_colour
 from deepkoco.diagnose.verdict.verdict import only_flexible, rivalled, verdict_of, without_explanation
 from deepkoco.diagnose.weighed import detection_of
 from deepkoco.fit.fit import Fit
+from deepkoco.fit.solve.lazy_batch import MANY
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.systems import System
 
@@ -145,13 +147,16 @@ def judge(request: DiagnosisRequest, explanation: Explanation) -> Judgement:
         found, base.start, base.train, white, explanation.weighed
     )
     least = -FURTHER if only_flexible(found) else FURTHER
-    if rival and found.lost is None:
-        rival = load_may_win(base.start, found.acting, final, found.accepted, missing, least)
+    # Causes that leave structure must explain something beside a learned load.
+    rest = more and not rival and verdict != "unknown" and found.lost is None and not _many(base)
+    if (rival or rest) and found.lost is None:
+        may_win = load_may_win(base.start, found.acting, final, found.accepted, missing, least)
+        rival, rest = rival and may_win, rest and may_win
     if midway is not None:
-        rival = False  # two units in one log are no load of one unit
+        rival = rest = False  # two units in one log are no load of one unit
     elif base.start.tempering > 1.0 and verdict == "unknown":
         unfitted = (*unfitted, TOO_SLOW)
-    elif (verdict == "unknown" or rival) and request.limit.allows("a learned load"):
+    elif (verdict == "unknown" or rival or rest) and request.limit.allows("a learned load"):
         request.progress("a learned load")
         learned, failed = _learned_load(base, missing, seed)
         unfitted = (*unfitted, *failed)
@@ -159,6 +164,11 @@ def judge(request: DiagnosisRequest, explanation: Explanation) -> Judgement:
         if learned_instead(found, reference, learned, base.start, base.train, least):
             verdict = "unknown"
             doubts = (*doubts, *doubts_of_names(found.accepted, found.lost))
+        else:
+            learned = None
+    elif rest and learned is not None:
+        if (why := idle_beside(base, found, learned, seed)) is not None:
+            verdict, doubts = "unknown", (*doubts, why)
         else:
             learned = None
     if verdict in ("cause", "ambiguous") and request.limit.allows("values beside a model error"):
@@ -206,6 +216,10 @@ def _outdone(found: Selected, left: float, midway: ChangedMidway) -> str:
         f"With {' and '.join(names)}, a mean squared error of {left:.3g} noise variances remains; with "
         f"other parameters before and after a change of the unit, {midway.left:.3g}."
     )
+
+
+def _many(base: Refitted) -> bool:
+    return len(base.reference.free) + base.train.state.shape[1] >= MANY
 
 
 def _doubts(
