@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -14,7 +13,6 @@ from deepkoco.diagnose.baseline import (
     BaselineError,
     Healthy,
     baseline_from,
-    refit,
     refit_sharply,
     with_gauges_fixed,
 )
@@ -26,13 +24,12 @@ from deepkoco.diagnose.evidence.priors import freed, prior_with
 from deepkoco.diagnose.evidence.refine_ranking import front_settled
 from deepkoco.diagnose.evidence.selection import DETECTION, PATIENCE, rank
 from deepkoco.diagnose.evidence.start_values import Hints
+from deepkoco.diagnose.healthy_spread import spread_of
 from deepkoco.diagnose.lost_commands.report import best_losses
-from deepkoco.diagnose.per_log_refits import ROUNDS, SETTLED, run_to_run, with_floor
 from deepkoco.diagnose.progress import Progress, in_company_of, silent
-from deepkoco.diagnose.residuals.residuals import missing_torque, white_limit
+from deepkoco.diagnose.residuals.residuals import missing_torque
 from deepkoco.diagnose.run_to_run import RunToRun, posterior, unshown, with_ratios, within_bounds
 from deepkoco.diagnose.time_limit import TimeLimit
-from deepkoco.fit.data.per_log_differences import may_differ
 from deepkoco.fit.data.sample_rate import sampled_as
 from deepkoco.fit.data.windows import cut_windows, moving
 from deepkoco.fit.fit import FitProblem
@@ -74,6 +71,35 @@ def learn_baseline(
         limit: Asked before each of them; it remembers what it refused. None allows all.
     """
     limit = TimeLimit() if limit is None else limit
+    try:
+        # Every effect changes the floor, and only the last one counts.
+        return _learn(recordings, system, length, progress, extension, limit, False)
+    except FloorError:
+        return _learn(recordings, system, length, progress, extension, limit, True)
+
+
+class FloorError(DivergedError):
+    """A single healthy log has no simulation that stays finite under what all of them tell."""
+
+
+def _learn(
+    recordings: Sequence[Recording],
+    system: System,
+    length: float,
+    progress: Progress,
+    extension: int,
+    limit: TimeLimit,
+    each: bool,
+) -> Baseline:
+    """As :func:`learn_baseline`.
+
+    Args:
+        recordings, system, length, progress, extension, limit: As there.
+        each: Whether the floor is computed after each effect, so that one with which a log diverges is left out.
+
+    Raises:
+        FloorError: The simulation of a log diverges under what all of them tell, and ``each`` is False.
+    """
     progress("healthy logs: refit")
     system = sampled_as(system, recordings)
     windows = cut_windows(recordings, system, length)
@@ -81,7 +107,8 @@ def learn_baseline(
     start = with_gauges_fixed(baseline_from(system, windows), windows)
     windows, fit = refit_sharply(start, windows)
     # Run-to-run variation could be mistaken for an effect that all logs show, and such an effect for variation.
-    told, runs = with_spread(Healthy(tuple(recordings), windows, start, (), fit))
+    spread = spread_of(Healthy(tuple(recordings), windows, start, (), fit))
+    spread, told = spread.with_floor() if each else spread, spread.healthy
     accepted: list[Cause] = []
     alike: dict[str, tuple[str, ...]] = {}
     causes = shown_causes(catalogue(start.system.base), measured_channels(recordings))
@@ -103,7 +130,8 @@ def learn_baseline(
         accepted, fit = eliminated(problem, counted, [*accepted, best.cause], best.fit, DETECTION)
         # A missing effect increases the apparent run-to-run variance, so the variance is estimated again.
         try:
-            told, runs = with_spread(replace(told, causes=tuple(accepted), fit=fit))
+            fresh = spread_of(replace(told, causes=tuple(accepted), fit=fit))
+            spread, told = fresh.with_floor() if each else fresh, fresh.healthy
         except DivergedError:
             # All logs together bear this effect, one of them alone does not: it is none that the unit has.
             accepted = list(told.causes)
@@ -121,7 +149,11 @@ def learn_baseline(
     others = [c for c in others if not frees_scale(start, c)]
     if {c.name for c in others}.difference(c.name for c in accepted):
         return extended(replace(start, healthy=told, losing=losing), others)
-    return replace(_learned(told, runs), losing=losing)
+    try:
+        spread = spread if each else spread.with_floor()
+    except DivergedError as error:
+        raise FloorError(str(error)) from error
+    return replace(_learned(told, spread.runs), losing=losing)
 
 
 def frees_scale(start: Baseline, cause: Cause) -> bool:
@@ -158,7 +190,8 @@ def extended(start: Baseline, causes: Sequence[Cause]) -> Baseline:
         return replace(_learned(healthy, start.runs), losing=start.losing)
     together = (*healthy.causes, *added)
     fit = problem.fit_one(freed(problem, before, together, healthy.fit, healthy.fit.values), PATIENCE)
-    return replace(_learned(*with_spread(replace(healthy, causes=together, fit=fit))), losing=start.losing)
+    spread = spread_of(replace(healthy, causes=together, fit=fit)).with_floor()
+    return replace(_learned(spread.healthy, spread.runs), losing=start.losing)
 
 
 def _learned(healthy: Healthy, runs: RunToRun | None) -> Baseline:
@@ -192,68 +225,6 @@ def _learned(healthy: Healthy, runs: RunToRun | None) -> Baseline:
         healthy=healthy,
         runs=runs,
     )
-
-
-def jointly_fitted(healthy: Healthy) -> Healthy:
-    """Return healthy logs with a fit whose prior counts as much as the residuals that it leaves let the logs count.
-
-    Args:
-        healthy: The logs, their effects and a fit.
-    """
-    for _ in range(ROUNDS):
-        left = dispersion(healthy.fit, healthy.windows)
-        wanted = left.deflation if left.chi2_per_sample > white_limit(healthy.windows) else 1.0
-        if SETTLED <= wanted / healthy.tempering <= 1.0 / SETTLED:
-            break
-        again = replace(healthy, tempering=wanted)
-        counted, problem = again.counted()
-        try:
-            if healthy.causes or healthy.windows.varies:
-                trial = freed(problem, counted, healthy.causes, healthy.fit, healthy.fit.values)
-                fit = problem.fit_one(trial, PATIENCE)
-            else:
-                fit = refit(counted, problem.windows)
-        except DivergedError:
-            break  # the fit under the declared prior stays
-        healthy = replace(again, fit=fit)
-    return healthy
-
-
-def with_spread(healthy: Healthy) -> tuple[Healthy, RunToRun | None]:
-    """Estimate the run-to-run variance of healthy logs, and refit them with their own parameters within it.
-
-    Args:
-        healthy: The logs, their effects and a fit.
-
-    Returns:
-        The refitted logs, and the run-to-run variance; None instead of it for fewer than two long enough logs.
-    """
-    healthy = jointly_fitted(healthy)
-    before, fit = healthy.before, healthy.fit
-    problem = FitProblem(before.system, healthy.windows)
-    prior = prior_with(problem, before, healthy.causes, fit.values)
-    runs = run_to_run(healthy, prior)
-    if runs is None:
-        return healthy, None
-    may = may_differ(before.system)
-    # That of these logs. What is doubted of it is for a further log; here it would be freedom to take up model error.
-    variance = dict(zip(prior.names, np.diag(runs.covariance).tolist(), strict=True))
-    varies = {
-        n: math.sqrt(v) for n, v in variance.items() if n in may and n in before.prior.names and v > 0.0
-    }
-    if varies == healthy.windows.varies:
-        return healthy, with_floor(runs, healthy, prior)
-    # The fit starts from the mean of these logs, because a new variance may move this mean.
-    values = problem.values_in(fit)
-    healthy = replace(healthy, windows=replace(healthy.windows, varies=varies))
-    if healthy.tempering > 1.0:
-        healthy = replace(healthy, tempering=max(1.0, runs.floor * runs.correlation))
-    counted, again = healthy.counted()
-    trial = freed(problem, counted, healthy.causes, fit, values)
-    nuisance = again.nuisances.none()
-    nuisance[: again.zeros.count] = fit.nuisance[: again.zeros.count]
-    healthy = replace(healthy, fit=again.fit_one(replace(trial, nuisance=nuisance)))
-    return healthy, with_floor(runs, healthy, prior)
 
 
 def describe_healthy(start: Baseline) -> dict[str, Any] | None:

@@ -11,16 +11,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.data_sheet import guessed
+from deepkoco.diagnose.evidence.classes import APART
 from deepkoco.diagnose.evidence.forward import Selection
 from deepkoco.diagnose.explanation import Begun, Explanation, of_mean
 from deepkoco.diagnose.probability.answer import Answer
-from deepkoco.diagnose.probability.shadow import answer_of, of_rough_sheet
+from deepkoco.diagnose.probability.shadow import Weighing, of_rough_sheet, weighing_of
 from deepkoco.diagnose.refitted import Refitted
 from deepkoco.diagnose.request import DiagnosisRequest
 from deepkoco.diagnose.residuals.whiteness import more_than_noise
@@ -37,10 +38,12 @@ class Weights:
     Attributes:
         base: The refitted baseline.
         answer: The weights.
+        weighing: The explanations that they compare.
     """
 
     base: Refitted
     answer: Answer
+    weighing: Weighing
     _rough: list[float] = field(default_factory=list)
 
     @staticmethod
@@ -56,12 +59,15 @@ class Weights:
             DivergedError: The simulation diverges.
             LinAlgError: The logs tell nothing of a parameter.
         """
-        return Weights(base, answer_of(request, base, named=named))
+        found = weighing_of(request, base)
+        return Weights(base, found.answer(named), found)
 
-    def hold(self, base: Refitted, named: Collection[str] = ()) -> bool:
-        """Return whether these are the weights on this refit, too, and let the named causes stand."""
-        if named and self.answer.of_any(named) <= 0.5:
-            return False
+    def beside(self, named: Collection[str]) -> Weights:
+        """Return the weights beside causes that were selected, see `answer_of`."""
+        return replace(self, answer=self.weighing.answer(named))
+
+    def hold(self, base: Refitted) -> bool:
+        """Return whether these are the weights on this refit, too."""
         if base.learned.healthy is not None:
             # What healthy logs say does not depend on the refit.
             return base.learned.healthy is self.base.learned.healthy
@@ -142,6 +148,19 @@ def nothing_at_once(
     quick.naming = False
     ranking, found = quick.go_on(at.first)
     if found.lost is not None or more_than_noise(found.final, base.train, start) is not None:
+        return None
+    # A cause that is selected is weighed in any case, and so is what is alike.
+    alike = {
+        c.cause.name
+        for step, _ in found.steps
+        for c in step.candidates
+        if step.best.delta_bic - c.delta_bic < APART
+    }
+    try:
+        weights = weights.beside(alike)
+    except (DivergedError, np.linalg.LinAlgError):
+        return None
+    if weights.answer.explanations[0].causes:
         return None
     words = (*unfitted, *ranking.unfitted)
     return of_mean(Explanation(base, ranking, found, joined, words, weights.answer))

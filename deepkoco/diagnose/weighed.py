@@ -94,12 +94,14 @@ def weigh(
         return explanation
     if not request.limit.allows("weighing the data sheet"):
         return explanation
-    request.progress("weighing the data sheet")
     causes = request.causes
     try:
         named = {name for _, members in found.steps for name in members}
-        if before is None or not before.hold(base, named):
+        if before is None or not before.hold(base):
+            request.progress("weighing the data sheet")
             before = Weights.of(request, base, named)
+        else:
+            before = before.beside(named)
         answer, lossy, charge = before.answer, False, 0.0
         if found.lost is not None:
             with_losses = answer_of(request, base, found.acting.windows)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deepkoco.diagnose.healthy import jointly_fitted
+from deepkoco.diagnose.healthy_spread import jointly_fitted
 from deepkoco.diagnose.per_log_refits import SETTLED
 from deepkoco.diagnose.run_to_run import posterior
 from deepkoco.fit.solve.dispersion import dispersion

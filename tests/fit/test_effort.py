@@ -221,3 +221,26 @@ def test_command_efforts_of_an_infinite_lane_do_not_change_other_lanes():
     for alone, beside in zip(lanes(0.8, 1.2), lanes(0.8, np.inf, 1.2), strict=True):
         assert torch.equal(beside[[0, 2]], alone)
         assert not torch.isfinite(beside[1]).all()
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {},
+        {"gain__factor": 1.2, "lag__time_constant": 0.03},
+        {"backlash__width": 0.2, "actuation_delay__delay": 0.013, "dead_zone__width": 0.05},
+        {"saturation__limit": 0.5, "clock_skew__rate": 1e-3, "torque_bias__effort": 0.1},
+    ],
+)
+def test_logs_that_are_computed_together_have_the_efforts_of_each_alone(values):
+    rng = np.random.default_rng(1)
+    t, other = np.arange(0.0, 3.0, 0.05), np.sort(rng.uniform(0.0, 3.0, 60))
+    logs = [CommandSeries(stamps, rng.uniform(-1.0, 1.0, 60)) for stamps in (t, other, t)]
+    one = windows_of(t, logs[0].value, [0.5, 1.0, 1.5, 2.0], 0.01, 40)
+    together = replace(one, commands=tuple(logs), log=np.array([2, 0, 1, 2]))
+    start, slope = efforts(together, **values)
+    for w, log in enumerate(together.log):
+        own = replace(one.take(np.array([w])), commands=(logs[log],), log=np.zeros(1, dtype=int))
+        alone = efforts(own, **values)
+        np.testing.assert_array_equal(start[w], alone[0][0])
+        np.testing.assert_array_equal(slope[w], alone[1][0])

@@ -95,15 +95,20 @@ def answer_of(
         DivergedError: The simulation diverges.
         LinAlgError: The logs tell nothing of a parameter.
     """
+    return weighing_of(request, base, acted).answer(named)
+
+
+def weighing_of(request: DiagnosisRequest, base: Refitted, acted: Windows | None = None) -> Weighing:
+    """As :func:`answer_of`, before it is known what was selected."""
     healthy = base.learned.healthy
     causes = request.causes
     if healthy is None:
         problem, reference = _acting(base.problem, base.reference, base.start, acted)
-        return probabilities(problem, reference, base.start, causes, named=named)
+        return weighing(problem, reference, base.start, causes)
     windows, reference = refit_sharply(healthy.before, request.data.train)
     problem = FitProblem(healthy.before.system, windows)
     problem, reference = _acting(problem, reference, healthy.before, acted)
-    return probabilities(problem, reference, healthy.before, causes, learned_unit(healthy, causes), named)
+    return weighing(problem, reference, healthy.before, causes, learned_unit(healthy, causes))
 
 
 def _acting(problem: FitProblem, fit: Fit, start: Baseline, acted: Windows | None) -> tuple[FitProblem, Fit]:
@@ -143,6 +148,52 @@ def probabilities(
         unit: What healthy logs say; None without any.
         named: Causes that were selected; where others are more probable, they are refitted in any case.
     """
+    return weighing(problem, reference, start, causes, unit).answer(named)
+
+
+@dataclass(frozen=True)
+class Weighing:
+    """Refitted explanations, to which those of selected causes can be added.
+
+    Attributes:
+        problem: The windows.
+        points: Points of linearisation.
+        found: The explanations.
+        seconds: Processor time that they took [s].
+    """
+
+    problem: FitProblem
+    points: Sequence[Point]
+    found: Sequence[Weighed]
+    seconds: float
+
+    def answer(self, named: Collection[str] = ()) -> Answer:
+        """Return the probabilities.
+
+        Args:
+            named: Causes that were selected; where others are more probable, they are refitted in any case.
+
+        Raises:
+            DivergedError: No explanation has a simulation that stays finite.
+        """
+        began, found = time.process_time(), [*self.found]
+        for point in self.points:
+            more = _doubted(point.scored, named, found)
+            found += _refitted(self.problem, point, more)[0] if more else []
+        tried = sum(len(p.scored) for p in self.points)
+        if not found:
+            raise DivergedError("no explanation has a simulation that stays finite")
+        return Answer.of(found, tried, self.seconds + time.process_time() - began)
+
+
+def weighing(
+    problem: FitProblem,
+    reference: Fit,
+    start: Baseline,
+    causes: Sequence[Cause],
+    unit: HealthyUnit | None = None,
+) -> Weighing:
+    """As :func:`probabilities`, before it is known what was selected."""
     began = time.process_time()
     if unit is None and guessed(start):
         start = with_usual_spread(start)
@@ -160,13 +211,7 @@ def probabilities(
         refits, plain = _refitted(problem, point, promising)
         more = _as_promising(point.scored, promising, refits)
         found += [*refits, *(_refitted(problem, point, more, plain)[0] if more else [])]
-    for point in points:
-        more = _doubted(point.scored, named, found)
-        found += _refitted(problem, point, more)[0] if more else []
-    tried = sum(len(p.scored) for p in points)
-    if not found:
-        raise DivergedError("no explanation has a simulation that stays finite")
-    return Answer.of(found, tried, time.process_time() - began)
+    return Weighing(problem, points, found, time.process_time() - began)
 
 
 def of_rough_sheet(problem: FitProblem, reference: Fit, start: Baseline, causes: Sequence[Cause]) -> float:
