@@ -30,7 +30,6 @@ from deepkoco.diagnose.progress import Progress, in_company_of, silent
 from deepkoco.diagnose.residuals.residuals import missing_torque
 from deepkoco.diagnose.run_to_run import RunToRun, posterior, unshown, with_ratios, within_bounds
 from deepkoco.diagnose.time_limit import TimeLimit
-from deepkoco.fit.data.sample_rate import sampled_as
 from deepkoco.fit.data.windows import cut_windows, moving
 from deepkoco.fit.fit import FitProblem
 from deepkoco.fit.solve.dispersion import dispersion
@@ -64,7 +63,7 @@ def learn_baseline(
 
     Args:
         recordings: Healthy logs.
-        system: The system.
+        system: The system, or what it is for the rate of all logs that are compared, see :meth:`.System.sampled_every`.
         length: Length of the windows [s].
         progress: Called with the name of each step.
         extension: Largest number of small effects that are added.
@@ -101,7 +100,6 @@ def _learn(
         FloorError: The simulation of a log diverges under what all of them tell, and ``each`` is False.
     """
     progress("healthy logs: refit")
-    system = sampled_as(system, recordings)
     windows = cut_windows(recordings, system, length)
     windows = windows.take(moving(windows))
     start = with_gauges_fixed(baseline_from(system, windows), windows)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from copy import copy
 
 import numpy as np
@@ -128,8 +128,8 @@ class WrappedSystem(System):
     def longest_step(self) -> float:
         return self.base.longest_step
 
-    def sampled_every(self, interval: float) -> WrappedSystem:
-        base = self.base.sampled_every(interval)
+    def sampled_every(self, interval: float, jumps: Mapping[str, float] | None = None) -> WrappedSystem:
+        base = self.base.sampled_every(interval, jumps)
         if base is self.base:
             return self
         other = copy(self)

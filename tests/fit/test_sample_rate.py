@@ -9,9 +9,10 @@ from deepkoco.systems.bodies.two_link_arm import TwoLinkArm
 
 
 class Asked(TwoLinkArm):
-    """An arm that tells the interval for which it was asked."""
+    """An arm that tells the interval and the jumps of commands for which it was asked."""
 
-    def sampled_every(self, interval):
+    def sampled_every(self, interval, jumps=None):
+        self.jumps = jumps
         return interval
 
 
@@ -36,6 +37,18 @@ def test_commands_and_other_topics_do_not_count():
     first, *_ = [c.name for c in TwoLinkArm().measurements]
     given = log(**{first: np.arange(50) * 0.09, "camera": np.arange(50) * 0.001})
     assert sampled_as(Asked(), [given]) == pytest.approx(0.09)
+
+
+def test_the_largest_jump_of_each_command_in_any_log_is_told():
+    (first, *_), (command, *_) = (
+        [c.name for c in cs] for cs in (TwoLinkArm().measurements, TwoLinkArm().commands)
+    )
+    logs = [log(**{first: np.arange(4) * 0.09, command: np.arange(4) * 0.09}) for _ in range(2)]
+    logs[0].channels[command].value[:] = [0.0, 0.2, 0.1, np.nan]
+    logs[1].channels[command].value[:] = [1.0, 1.0, 0.5, 0.5]
+    arm = Asked()
+    sampled_as(arm, logs)
+    assert arm.jumps == {command: pytest.approx(0.5)}
 
 
 def test_samples_that_come_in_pairs_show_what_is_as_fast_as_these():

@@ -123,7 +123,7 @@ def insufficient(request: DiagnosisRequest) -> Diagnosis:
         advice=advice,
         data=describe_data(request.recordings, data, request.system),
         refit={},
-        model=system,
+        model=system.sampled_every(0.0),
         seed=request.seed,
         versions=versions(),
         seconds=time.perf_counter() - request.began,
@@ -297,7 +297,8 @@ def _model(request: DiagnosisRequest, explanation: Explanation, judgement: Judge
         for p in start.system.parameters
         if "." not in p.name or p.name.split(".")[0] in effects
     }
-    return ExtendedSystem(given.base if isinstance(given, ExtendedSystem) else given, effects, kept)
+    plain = given.base if isinstance(given, ExtendedSystem) else given
+    return ExtendedSystem(plain.sampled_every(0.0), effects, kept)
 
 
 def _small(explanation: Explanation) -> tuple[Cause, ...]:

@@ -28,4 +28,11 @@ def sampled_as(system: System, recordings: Sequence[Recording]) -> System:
     ]
     gaps = [gap[gap > 0.0] for gap in map(np.diff, stamps)]
     intervals = [float(np.quantile(gap, SHORT)) for gap in gaps if len(gap)]
-    return system.sampled_every(min(intervals)) if intervals else system
+    jumps: dict[str, float] = {}
+    for recording in recordings:
+        for channel in system.commands:
+            if channel.name in recording.channels:
+                changes = np.abs(np.diff(recording.channels[channel.name].value))
+                largest = float(np.nanmax(changes)) if np.isfinite(changes).any() else 0.0
+                jumps[channel.name] = max(jumps.get(channel.name, 0.0), largest)
+    return system.sampled_every(min(intervals), jumps) if intervals else system

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from pathlib import Path
@@ -96,8 +96,8 @@ class FollowingSystem(System):
     load_scales = property(lambda self: tuple(self.base.load_scales[j] for j in self.free))
     load_scale = property(lambda self: max(self.load_scales))
 
-    def sampled_every(self, interval: float) -> FollowingSystem:
-        base = self.base.sampled_every(interval)
+    def sampled_every(self, interval: float, jumps: Mapping[str, float] | None = None) -> FollowingSystem:
+        base = self.base.sampled_every(interval, jumps)
         if base is self.base:
             return self
         other = copy(self)

@@ -38,6 +38,8 @@ FADING, FADED = 2.2, 12
 # Share of the critical damping that a swing too fast for a log gets: it then overshoots by 4 %. Without a damping, the
 # place at which dry friction ends a swing depends on each of its turns, and no slope of a fit knows them.
 CALM = 0.7
+# Share of a swing that may be left at the next sample, where the log shows nothing of it.
+OVER = 0.01
 REDUNDANT = (
     1e-10  # smallest eigenvalue of an inertia matrix with a diagonal of ones, below which it is singular
 )
@@ -223,6 +225,48 @@ def longest_step(
         float(np.abs(swings).max(initial=0.0)) / most, float(np.abs(others).max(initial=0.0)) / STABLE
     )
     return 1.0 / max(turn / SWING, fastest, 1e-3)
+
+
+def settles_within(
+    tree: Tree,
+    armatures: Sequence[float],
+    laws: Sequence[Law],
+    jumps: Sequence[float],
+    interval: float,
+    shown: float,
+) -> bool:
+    """Return whether swings of more than ``shown`` [rad/s] are over by the next sample of a log.
+
+    That a swing is too fast to be followed by samples does not hide it: what is left of it at a sample is measured, and
+    its decay with it. So it must end by itself, by damping to `OVER` of its size over random poses, or by dry friction:
+    a friction F takes 2 F / K from a swing about the stiffness K in each of its half turns. That must be more than the
+    swing after the largest jump of the commands, and than one of `SEEN_TURN`.
+
+    Args:
+        tree: The tree.
+        armatures: Of each joint, with what is added.
+        laws: Gain and bias of each actuator.
+        jumps: Largest change of each command from one value to the next.
+        interval: Time from one sample to the next [s].
+        shown: Fastest swing that is followed [rad/s].
+
+    Source: Den Hartog, Mechanical Vibrations (1956), sec. 8.3, for dry friction.
+    """
+    passive = {kind: [getattr(joint, kind) for joint in tree.joints] for kind in ("damping", "stiffness")}
+    inverse = _inverses(tree, armatures)
+    damping, stiffness = (np.array(x, dtype=float) for x in resistances(tree.actuators, passive, laws))
+    values = _small_motions(inverse, damping, stiffness + _weights(tree))
+    fast = (np.abs(np.imag(values)) > np.abs(np.real(values))) & (np.abs(values) > shown)
+    if (np.exp(np.real(values[fast]) * interval) <= OVER).all():
+        return True
+    own = np.sqrt(stiffness * np.einsum("njj->nj", inverse).max(axis=0))
+    half_turns = own * interval / math.pi
+    friction = np.array([joint.frictionloss for joint in tree.joints])
+    struck = stiffness * np.array([SEEN_WAY if joint.slides else SEEN_TURN for joint in tree.joints])
+    for actuator, (gain, *_), jump in zip(tree.actuators, laws, jumps, strict=True):
+        struck[actuator.joint] += abs(float(gain[0]) * actuator.gear) * jump
+    ends = half_turns * 2.0 * friction >= struck
+    return bool((ends | (own <= shown)).all())
 
 
 def _swings(values: np.ndarray, shown: float) -> tuple[np.ndarray, np.ndarray]:

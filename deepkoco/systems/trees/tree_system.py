@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import cached_property
@@ -65,6 +65,7 @@ from deepkoco.systems.trees.stiffness import (
     longest_step,
     pace_of,
     refuse_redundant,
+    settles_within,
 )
 from deepkoco.systems.trees.tree import Tree, TreeError
 from deepkoco.systems.trees.visible import visible_parameters
@@ -120,6 +121,7 @@ class TreeSystem(System):
         refuse_redundant(tree, self.origin or self.name)
         least = least_inertias(tree)
         self._longest_step, self._steadying = self._at_pace(least, USUAL)
+        self._as_given: TreeSystem | None = None  # of a system for logs of a known rate, the one for all logs
         self.tip = settings.tip(self.payload_sites, tip_place(tree))
         self._view = choose_view(tree)
         self._arrays = TreeArrays(tree)
@@ -177,13 +179,23 @@ class TreeSystem(System):
     def longest_step(self) -> float:
         return self._longest_step
 
-    def sampled_every(self, interval: float) -> TreeSystem:
+    def sampled_every(self, interval: float, jumps: Mapping[str, float] | None = None) -> TreeSystem:
+        own = self._as_given or self
+        if interval <= 0.0:
+            return own
         pace, step = pace_of(interval)
-        if self._longest_step >= step:
-            return self
-        other = copy(self)
-        other._longest_step, other._steadying = self._at_pace(self._steadying.least_inertias, pace, step)
+        if own._longest_step >= step or not own._settles_within(interval, pace.shown, jumps or {}):
+            return own
+        other = copy(own)
+        other._as_given = own
+        other._longest_step, other._steadying = own._at_pace(own._steadying.least_inertias, pace, step)
         return other
+
+    def _settles_within(self, interval: float, shown: float, jumps: Mapping[str, float]) -> bool:
+        """Return whether the swings that are too fast for a log are over from one sample to the next."""
+        nominal = Numbers.of(self.tree, {}, self._steadying)
+        known = [jumps.get(channel.name, 0.0) for channel in self.commands]
+        return settles_within(self.tree, nominal.passive["armature"], nominal.laws, known, interval, shown)
 
     def _at_pace(
         self, least: tuple[float, ...], pace: Pace, longest: float = math.inf
