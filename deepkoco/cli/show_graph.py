@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from deepkoco.cli.input_error import InputError
 
@@ -41,11 +42,13 @@ def show_graph(args: argparse.Namespace) -> int:
         if args.html is not None:
             with writing(args.html):
                 args.html.parent.mkdir(parents=True, exist_ok=True)
-            write_page(args.html, graph, title=args.path.name, parameters=parameters)
+            given = read_graph_file(str(args.path))
+            own = describe_setup(given.graph, given.parameters())
+            write_page(args.html, graph, title=args.path.name, parameters=parameters, changed_from=own)
     except (OwnObjectError, SetupError, GraphError, DrawingError) as error:
         raise InputError(str(error)) from error
     if args.json:
-        sys.stdout.write(json.dumps(describe_setup(graph, parameters), indent=2) + "\n")
+        sys.stdout.write(json.dumps(_as_json(describe_setup(graph, parameters)), indent=2) + "\n")
         return 0
     from rich.console import Console
 
@@ -53,6 +56,15 @@ def show_graph(args: argparse.Namespace) -> int:
     for table in tables(graph, str(args.path)):
         console.print(table)
     return 0
+
+
+def _as_json(value: Any) -> Any:
+    """Plain values for JSON, which has no infinity: it is written as text."""
+    if isinstance(value, dict):
+        return {key: _as_json(each) for key, each in value.items()}
+    if isinstance(value, list):
+        return [_as_json(each) for each in value]
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def tables(graph: Graph, title: str) -> tuple[Table, Table]:

@@ -51,8 +51,7 @@ def reconsidered(task: SelectionTask, found: Selected, least: int = 2) -> Select
         ranking = front_settled(problem, start, others, with_fit(problem, start, ranking, cause, final))
         ranking, members = classed(problem, start, ranking, others, task.held)
         steps[k] = (ranking, members)
-        if ranking.best.cause.name != cause.name:
-            accepted[k] = ranking.best.cause
+        accepted[k] = ranking.best.cause
         final = ranking.best.fit
     return replace(found, final=final, accepted=tuple(accepted), steps=tuple(steps))
 

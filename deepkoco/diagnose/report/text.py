@@ -65,8 +65,9 @@ def _once_refitted(diagnosis: Diagnosis) -> str:
     most = max(channels, key=lambda c: c.baseline / c.refit, default=None)
     if most is None or most.baseline < REFITTED * most.refit:
         return ""
+    given = "as learned from healthy logs" if diagnosis.data.get("healthy") else "as given"
     return (
-        f" once its own parameters are refitted: as given, its held-out error of {most.name} is "
+        f" once its own parameters are refitted: {given}, its held-out error of {most.name} is "
         f"{most.baseline / most.refit:.2g} times as large"
     )
 

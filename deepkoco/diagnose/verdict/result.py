@@ -88,7 +88,7 @@ def diagnosis_of(request: DiagnosisRequest, explanation: Explanation, judgement:
         versions=versions(),
         seconds=time.perf_counter() - request.began,
         unexplained=_unexplained(request, explanation, judgement),
-        detection=request.detection,
+        detection=detection_of(request, explanation),
         details=_details(request, base, judgement),
         final=_written(explanation, judgement),
         moved=_moved(explanation, judgement) if judgement.verdict == "nothing" else (),

@@ -112,6 +112,8 @@ def even_times(t: np.ndarray) -> np.ndarray | None:
         return None
     # A few gaps that are a little longer tilt the fitted period by more than regular stamps scatter.
     usual = np.abs(off - middle) <= FAR * spread
+    if float(np.ptp(off[usual])) <= least:
+        return None
     period += float(off[usual].sum() / count[usual].sum())
     off = np.where(usual, gap - count * period, 0.0)
     n = len(off)

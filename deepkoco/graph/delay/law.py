@@ -123,7 +123,7 @@ def make_delay(spec: "Delay | float | Mapping[str, Any]") -> Delay:
     if isinstance(spec, Mapping):
         options = dict(spec)
         name = options.pop("law", None)
-        if name not in LAWS:
+        if not isinstance(name, str) or name not in LAWS:
             raise DelayError(f'delay law "{name}" is not known; known: {", ".join(sorted(LAWS))}')
         known = [field.name for field in fields(LAWS[name]) if field.init]  # pyright: ignore[reportArgumentType]
         if strange := [option for option in options if option not in known]:
@@ -154,8 +154,10 @@ def seconds(name: str, value: Any) -> float:
     """Return `value` as a number of seconds that can be a delay."""
     try:
         number = float(value)
-    except (TypeError, ValueError) as error:
-        raise DelayError(f"{name}: {value!r} is no number of seconds") from error
+    except (TypeError, ValueError, OverflowError) as error:
+        raise DelayError(f"{name}: {str(value)[:80]!r} is no number of seconds") from error
+    if isinstance(value, bool):
+        raise DelayError(f"{name}: {value} is no number of seconds")
     if not math.isfinite(number) or number < 0.0:
         raise DelayError(f"{name}: {number} s is no delay; give a finite number of seconds >= 0")
     return number

@@ -40,6 +40,7 @@ def write_page(
     pages: Mapping[str, Path] | None = None,
     made: date | None = None,
     parameters: Mapping[str, Mapping[str, Any]] | None = None,
+    changed_from: dict[str, Any] | None = None,
 ) -> Path:
     """Write the page, whole or not at all.
 
@@ -51,6 +52,7 @@ def write_page(
         pages: name to file of other pages that may be there, for the navigation.
         made: day that the page says; None takes today's, or that of SOURCE_DATE_EPOCH.
         parameters: by node and name, to be edited with rates and delays, see `describe_setup`.
+        changed_from: setup that the graph has without the changes that it came with; the page saves these, too.
 
     Raises:
         DrawingError: the file exists.
@@ -58,7 +60,7 @@ def write_page(
     path = Path(path)
     if path.exists():
         raise DrawingError(f"{path}: exists; choose another name or move it away")
-    page = make_page(graph, episode, title, path, pages, made, parameters)
+    page = make_page(graph, episode, title, path, pages, made, parameters, changed_from)
     write_whole(path, lambda file: file.write(page.encode()))
     return path
 
@@ -71,13 +73,14 @@ def make_page(
     pages: Mapping[str, Path] | None = None,
     made: date | None = None,
     parameters: Mapping[str, Mapping[str, Any]] | None = None,
+    changed_from: dict[str, Any] | None = None,
 ) -> str:
     """Return the page as text; arguments as for `write_page`."""
     placed = _place(graph)
     timeline = None if episode is None else _timeline(graph, episode)
     nodes, edges = _nodes(graph, placed), [_edge(c, placed) for c in graph.connections]
     own = path or Path("graph.html")
-    form = setup_form(graph, parameters)
+    form = setup_form(graph, parameters, changed_from)
     return render_page(
         "deepkoco.graph.drawing",
         "pages/page.html",

@@ -16,19 +16,26 @@ _FIRST = {"number": 0.01, "numbers": [0.01, 0.02], "delay": {"law": "gaussian", 
 _FIRST["delays"] = [_FIRST["delay"], {"law": "gaussian", "loc": 0.03, "scale": 0.005}]
 
 
-def setup_form(graph: Graph, parameters: Mapping[str, Mapping[str, Any]] | None = None) -> dict[str, Any]:
+def setup_form(
+    graph: Graph,
+    parameters: Mapping[str, Mapping[str, Any]] | None = None,
+    changed_from: dict[str, Any] | None = None,
+) -> dict[str, Any]:
     """Return the setup of a graph with what is needed to edit it.
 
     Args:
         graph, parameters: as for `describe_setup`.
+        changed_from: setup that the graph has without the changes that it came with; None: it came without any.
 
     Returns:
-        ``setup`` as `describe_setup` returns it. ``laws``, by name of a delay law, its entries: name, kind ("number",
-        "numbers", "delay", "delays" or "other") and the value with which a new law begins. ``schedulings`` and
-        ``jitters``, the choices there are.
+        ``start`` as `describe_setup` returns it, and ``setup``, from which changes are counted. ``laws``, by name of a
+        delay law, its entries: name, kind ("number", "numbers", "delay", "delays" or "other") and the value with which
+        a new law begins. ``schedulings`` and ``jitters``, the choices there are.
     """
+    start = describe_setup(graph, parameters)
     return {
-        "setup": describe_setup(graph, parameters),
+        "setup": start if changed_from is None else changed_from,
+        "start": start,
         "laws": {name: _entries(law) for name, law in sorted(LAWS.items())},
         "schedulings": list(SCHEDULINGS),
         "jitters": ["latest", "buffer"],

@@ -79,7 +79,7 @@ class Node(ABC):
 
     free_rate: ClassVar[bool] = False
     """Whether nothing that the node holds was worked out from rates, its own or its senders'; only `rate` tells its
-    own. A class without an `__init__` of its own need not say so."""
+    own. A class without an `__init__` of its own need not say so, one that has one says it itself."""
 
     def __init__(
         self,
@@ -132,7 +132,7 @@ class Node(ABC):
         Raises:
             GraphError: it may have, says that `what` must stay, and the way out.
         """
-        if not self.free_rate and type(self).__init__ not in _PLAIN:
+        if not _says_free(type(self)):
             raise GraphError(
                 f'node "{self.name}": its class {type(self).__name__} may have worked out something from {what} when '
                 "it was made; change the rate there, or say free_rate = True in the class if it has not"
@@ -220,6 +220,16 @@ class Supervisor(Node):
 
     def step(self, parameters: Parameters, state: State, inputs: dict[str, Input]) -> tuple[State, Tensor]:
         raise GraphError(f'supervisor "{self.name}" does not step: its action comes from outside')
+
+
+def _says_free(kind: type[Node]) -> bool:
+    """Return whether the class whose `__init__` made a node, or one below it, says that its rate is free."""
+    for each in kind.__mro__:
+        if each.__dict__.get("free_rate"):
+            return True
+        if "__init__" in each.__dict__:
+            return each.__init__ in _PLAIN
+    return False
 
 
 _PLAIN = (Node.__init__, Supervisor.__init__)  # they keep the rate and derive nothing from it

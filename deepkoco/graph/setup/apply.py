@@ -17,6 +17,7 @@ from deepkoco.graph.model.graph import Graph
 from deepkoco.graph.model.node import SCHEDULINGS, GraphError, Node
 from deepkoco.graph.setup.file import SetupError, check_setup, exact_number
 from deepkoco.suggestion import did_you_mean
+from deepkoco.yaml_file import shown
 
 
 def apply_setup(graph: Graph, setup: Mapping[str, Any]) -> Graph:
@@ -66,7 +67,7 @@ def apply_parameters(
         setup: as for `apply_setup`; a single number fills the whole tensor.
 
     Raises:
-        SetupError: it names a parameter that is not there, or a value has another shape.
+        SetupError: it names a parameter that is not there, or a value has another shape or does not fit the type.
     """
     given = check_setup(setup).get("parameters", {})
     _named("parameters", given, parameters)
@@ -117,11 +118,21 @@ def _connection(
 
 def _filled(place: str, own: Any, value: Any) -> Any:
     like = torch.as_tensor(own)
-    numbers = torch.as_tensor(value, dtype=torch.float64)
+    try:
+        numbers = torch.as_tensor(value, dtype=torch.float64)
+    except (ValueError, TypeError, OverflowError, RuntimeError) as error:
+        raise SetupError(f"{place}: {shown(value)} is no array of numbers") from error
     if numbers.ndim and numbers.shape != like.shape:
         raise SetupError(f"{place}: it has the shape {tuple(like.shape)}; {tuple(numbers.shape)} is given")
-    filled = numbers.to(like.dtype).expand(like.shape).clone()
-    return filled if like.ndim or isinstance(own, Tensor) else type(own)(filled.item())
+    kind = like.dtype
+    if not kind.is_floating_point and not bool((numbers.to(kind) == numbers).all()):
+        if kind == torch.bool or isinstance(own, Tensor):
+            raise SetupError(
+                f"{place}: {shown(value)} does not fit its type, {str(kind).removeprefix('torch.')}"
+            )
+        kind = torch.float64  # whoever writes 1 for a mass may be given 1.3
+    filled = numbers.to(kind).expand(like.shape).clone()
+    return filled.item() if isinstance(own, bool | int | float) else filled
 
 
 def _named(place: str, given: Iterable[str], known: Iterable[str]) -> None:

@@ -103,9 +103,12 @@ def exact_number(place: str, value: Any) -> Fraction | float:
     """
     if isinstance(value, str) and _FRACTION.fullmatch(value):
         return Fraction(value)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise SetupError(f"{place}: {shown(value)} is no number")
-    return value
+    try:
+        if not isinstance(value, bool) and isinstance(value, int | float) and math.isfinite(value):
+            return value
+    except OverflowError:  # a whole number beyond all floats
+        pass
+    raise SetupError(f"{place}: {shown(value)} is no number")
 
 
 def _check_numbers(place: str, value: Any) -> None:

@@ -103,6 +103,7 @@ def test_every_law_begins_as_one_that_loads(script):
         ("connections", "agent->world", "delay", {"law": "empirical", "samples": []}, "samples: give numbers"),
         ("parameters", "world", "mass", None, "give a number"),
         ("parameters", "world", "start", [1, 2], "it has 1 x 2"),
+        ("parameters", "world", "start", [[1, 2], [3]], "it has 1 x 2"),
     ],
 )  # fmt: skip
 def test_a_wrong_value_is_named_before_it_is_saved(script, section, name, key, value, says):
@@ -113,6 +114,23 @@ def test_a_wrong_value_is_named_before_it_is_saved(script, section, name, key, v
     (wrong,) = script("wrongIn", form["setup"], after, form["laws"])
     assert (wrong["section"], wrong["name"], wrong["key"]) == (section, name, key)
     assert says in wrong["text"]
+
+
+def test_a_parameter_without_a_limit_is_no_mistake_and_is_written_as_yaml(script):
+    form = setup_form(GRAPH, {"world": {"limit": float("inf"), "low": [0.0, float("-inf")]}})
+    assert script("wrongIn", form["setup"], form["setup"], form["laws"]) == []
+    written = script(
+        "yamlOf", {"parameters": {"world": {"limit": float("inf"), "low": [0.5, float("-inf")]}}}
+    )
+    assert yaml.safe_load(written) == {
+        "parameters": {"world": {"limit": float("inf"), "low": [0.5, float("-inf")]}}
+    }
+
+
+def test_changes_that_a_graph_came_with_are_saved_too(script):
+    changed = apply_setup(GRAPH, {"nodes": {"world": {"rate": 200}}})
+    form = setup_form(changed, PARAMETERS, describe_setup(GRAPH, PARAMETERS))
+    assert script("changesBetween", form["setup"], form["start"]) == {"nodes": {"world": {"rate": 200}}}
 
 
 def test_the_scripts_of_the_page_can_be_parsed():

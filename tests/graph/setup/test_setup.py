@@ -9,7 +9,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepkoco.engines import OdeEngine, make_graph
-from deepkoco.graph import BatchedRuntime, Connection, Gaussian, Graph, Node, Supervisor, draw_timing
+from deepkoco.graph import (
+    BatchedRuntime,
+    Connection,
+    Gaussian,
+    Graph,
+    GraphError,
+    Node,
+    Supervisor,
+    draw_timing,
+)
 from deepkoco.graph.episodes.storage.description import describe_graph, graph_from_description
 from deepkoco.graph.setup import (
     SetupError,
@@ -185,6 +194,9 @@ def test_windows_grow_with_what_the_receiver_needs():
         ({"connections": {"agent->world": {"skip": "yes"}}}, r"skip: 'yes' is no yes or no \(true, false\)"),
         ({"connections": {"agent->world": {"skip": False}}}, "cycle without a skipped connection"),
         ({"connections": {"world->filter": {"window": 0}}}, "window 0 is no whole number"),
+        ({"nodes": {"world": {"rate": 10**400}}}, "is no number"),
+        ({"nodes": {"world": {"delay": True}}}, "True is no number of seconds"),
+        ({"nodes": {"world": {"delay": {"law": ["a"]}}}}, "is not known"),
         ({"stalls": {"rate": 1}}, "stalls: .* is no list of descriptions"),
         ({"correlations": [{"channels": ["a", "b"], "value": 0.1}]}, '"a" is no node or connection'),
         ([1], "the setup: .* is no table"),
@@ -210,6 +222,40 @@ def test_parameters_come_from_the_setup_in_their_own_type_and_shape():
                         ({"mass": "heavy"}, "'heavy' is no number")):  # fmt: skip
         with pytest.raises(SetupError, match=says):
             apply_parameters(own, {"parameters": {"world": wrong}})
+
+
+def test_a_whole_number_may_become_a_fraction_where_its_type_can_hold_it():
+    own = {
+        "world": {"mass": 1, "start": [1, 2], "count": torch.tensor(3), "on": True, "size": np.float64(2.0)}
+    }
+
+    def taken(**values):
+        return apply_parameters(own, {"parameters": {"world": values}})["world"]
+
+    assert taken(mass=1.3)["mass"] == 1.3
+    assert taken(start=[1.5, 2.5])["start"].tolist() == [1.5, 2.5]
+    assert float(taken(size=3)["size"]) == 3.0
+    assert taken(count=4)["count"].item() == 4
+    for wrong in ({"count": 3.7}, {"on": 0.5}):
+        with pytest.raises(SetupError, match="does not fit its type"):
+            taken(**wrong)
+    for wrong in ([[1], [2, 3]], [10**400, 1]):
+        with pytest.raises(SetupError, match="is no array of numbers"):
+            taken(start=wrong)
+
+
+def test_a_class_below_one_whose_rate_is_free_says_so_itself():
+    class Free(Filter):
+        free_rate = True
+
+    class Below(Free):
+        def __init__(self, name, rate):
+            super().__init__(name, rate)
+            self.square = self.weight**2
+
+    assert Free("free", 50).at_rate(10).rate == 10
+    with pytest.raises(GraphError, match="class Below may have worked out"):
+        Below("below", 50).at_rate(10)
 
 
 def test_weights_of_a_network_are_no_part_of_a_setup():
