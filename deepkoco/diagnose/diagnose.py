@@ -89,8 +89,6 @@ def diagnose(
     began = time.perf_counter()
     base = stretchable_if_asked(any_system(system), only)
     recordings, healthy, holdout = (read_logs(logs, base) for logs in (recordings, healthy, holdout))
-    if baseline is None:  # else it was learned for logs of any rate
-        base = sampled_as(base, [*recordings, *healthy, *holdout])
     plain = base.base if isinstance(base, ExtendedSystem) else base
     all_causes, measured = catalogue(plain), measured_channels([*recordings, *holdout])
     causes = (
@@ -103,6 +101,8 @@ def diagnose(
         )
     with one_thread():
         usual = window_length(base) if window is None else window
+        if baseline is None:  # else it was learned for logs of any rate
+            base = sampled_as(base, [*recordings, *healthy, *holdout])
         limit = TimeLimit(time_limit, began=began)
         if baseline is not None:
             check_learned(baseline, base)

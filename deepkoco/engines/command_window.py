@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from deepkoco.graph import Connection, Delay, Node
+from deepkoco.graph import Delay, Node
 from deepkoco.systems import Parameters, System
 
 
@@ -30,8 +30,8 @@ def longest_further_delay(system: System, parameters: Parameters) -> float:
     return max((float(delay.max()) for delay in system.further_delays(parameters) or ()), default=0.0)
 
 
-def window_of_commands(world: Node, connection: Connection, sender: Node) -> int:
+def window_of_commands(world: Node, delay: Delay, sender: Node) -> int:
     """The same for a connection into a world with the nominal parameters of its system, if it has one."""
     system: Any = getattr(world, "system", None)
     further = longest_further_delay(system, system.default_parameters()) if system else 0.0
-    return command_window(connection.law, float(sender.rate), float(world.rate), further)
+    return command_window(delay, float(sender.rate), float(world.rate), further)

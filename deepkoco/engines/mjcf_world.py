@@ -17,7 +17,7 @@ from deepkoco.engines.model_parameters import changed_model, check_names
 from deepkoco.engines.mujoco_world import import_mujoco
 from deepkoco.engines.noise import draw_keys, normal
 from deepkoco.engines.scene import Scene
-from deepkoco.graph import Connection, Input, Node
+from deepkoco.graph import Delay, Input, Node
 from deepkoco.graph.model.node import State
 from deepkoco.systems import Parameters
 
@@ -80,9 +80,9 @@ class MjcfWorld(Node):
         self._width = self._size + model.na + (model.nsensordata if scene.reads_sensors else 0)
         self._forget()
 
-    def least_window(self, connection: Connection, sender: Node) -> int:
+    def least_window(self, delay: Delay, sender: Node) -> int:
         """Of commands, those of a tick and the one before them."""
-        return window_of_commands(self, connection, sender)
+        return window_of_commands(self, delay, sender)
 
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"_pool": None, "_datas": None, "_models": {}, "_last": ((), [])}

@@ -15,7 +15,7 @@ from deepkoco.engines.hold import mean_over_tick
 from deepkoco.engines.mjcf import HingedBody, model_xml
 from deepkoco.engines.start import start_state
 from deepkoco.extras import dependency_command
-from deepkoco.graph import Connection, Input, Node
+from deepkoco.graph import Delay, Input, Node
 from deepkoco.graph.model.node import State
 from deepkoco.systems import JointSystem, Parameters
 
@@ -58,9 +58,9 @@ class MujocoWorld(Node):
         self.high = min(command_limit, system.command.high)
         self._simulator: _Simulator | None = None
 
-    def least_window(self, connection: Connection, sender: Node) -> int:
+    def least_window(self, delay: Delay, sender: Node) -> int:
         """Of commands, those of a tick and the one before them."""
-        return window_of_commands(self, connection, sender)
+        return window_of_commands(self, delay, sender)
 
     def close(self) -> None:
         self._simulator = None

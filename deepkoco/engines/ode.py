@@ -12,7 +12,7 @@ from torch import Tensor
 from deepkoco.engines.command_window import window_of_commands
 from deepkoco.engines.hold import mean_over_tick
 from deepkoco.engines.start import start_state
-from deepkoco.graph import Connection, Input, Node
+from deepkoco.graph import Delay, Input, Node
 from deepkoco.graph.model.node import State
 from deepkoco.systems import Parameters, System, rk4_step
 from deepkoco.systems.plain import is_plain, needs_gradient
@@ -72,9 +72,9 @@ class World(Node):
         node.period, node.advance_by = float(1 / node.rate), getattr(node, self.advance_by.__name__)
         return node
 
-    def least_window(self, connection: Connection, sender: Node) -> int:
+    def least_window(self, delay: Delay, sender: Node) -> int:
         """Of commands, those of a tick and the one before them."""
-        return window_of_commands(self, connection, sender)
+        return window_of_commands(self, delay, sender)
 
     def init(self, parameters: Parameters, generator: torch.Generator, batch: int) -> State:
         idle = torch.zeros(batch, len(self.limits), dtype=torch.float64)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from deepkoco.engines.noise import draw_keys, normal
 from deepkoco.engines.start import start_state
-from deepkoco.graph import Connection, Input, Node
+from deepkoco.graph import Delay, Input, Node
 from deepkoco.graph.model.node import State
 from deepkoco.systems import Parameters, System
 from deepkoco.systems.dry_friction import Levels
@@ -45,7 +45,7 @@ class Sensor(Node):
         play = system.output_play(system.default_parameters())
         self.loose = tuple(j for j, width in enumerate(play) if width is not None)
 
-    def least_window(self, connection: Connection, sender: Node) -> int:
+    def least_window(self, delay: Delay, sender: Node) -> int:
         """Behind a play, the states of the world between two measurements."""
         return max(1, math.ceil(float(sender.rate) / float(self.rate))) if self.loose else 1
 

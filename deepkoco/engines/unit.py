@@ -13,7 +13,7 @@ from deepkoco.engines.command_window import window_of_commands
 from deepkoco.engines.engine import Engine, EngineError
 from deepkoco.engines.reset import ResetNode, Teleport
 from deepkoco.engines.start import start_state
-from deepkoco.graph import Connection, Input, Node
+from deepkoco.graph import Delay, Input, Node
 from deepkoco.graph.model.node import State
 from deepkoco.systems import JointSystem, Parameters, System
 from deepkoco.unit import SensorMessage, SimulatedUnit, Unit, UnitSpec, load_unit, make_unit
@@ -96,9 +96,9 @@ class UnitWorld(Node):
         self._unit: Unit | SimulatedUnit | None = None
         self._origin = 0.0
 
-    def least_window(self, connection: Connection, sender: Node) -> int:
+    def least_window(self, delay: Delay, sender: Node) -> int:
         """Of commands, those of a tick and the one before them."""
-        return window_of_commands(self, connection, sender)
+        return window_of_commands(self, delay, sender)
 
     def open(self) -> None:
         self._unit = CLOCKS[self.clock](self.spec).__enter__()

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from deepkoco.graph import Connection, Input, Node
+from deepkoco.graph import Delay, Input, Node
 from deepkoco.graph.model.node import Parameters, State
 from deepkoco.systems.fluids import pool_parameters
 
@@ -74,7 +74,7 @@ class Probe(Node):
         super().__init__("probe", rate)
         self.noise_sd, self.flow_noise, self.tick = noise_sd, flow_noise, 1.0 / world_rate
 
-    def least_window(self, connection: Connection, sender: Node) -> int:
+    def least_window(self, delay: Delay, sender: Node) -> int:
         """The states of the world between two messages."""
         return max(round(float(sender.rate / self.rate)), 1)
 

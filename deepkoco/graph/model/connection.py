@@ -81,4 +81,4 @@ class Connection:
 
 def wide_enough(connection: Connection, sender: Node, receiver: Node) -> Connection:
     """Return the connection with a window of at least what the receiver needs, see `Node.least_window`."""
-    return replace(connection, window=max(connection.window, receiver.least_window(connection, sender)))
+    return replace(connection, window=max(connection.window, receiver.least_window(connection.law, sender)))

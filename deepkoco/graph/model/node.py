@@ -5,16 +5,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from fractions import Fraction
 from numbers import Real
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import torch
 from torch import Tensor
 
 from deepkoco.graph.delay import Delay, DelayError, exact_fraction, make_delay
 from deepkoco.graph.model.parts import Declared
-
-if TYPE_CHECKING:
-    from deepkoco.graph.model.connection import Connection
 
 State = dict[str, Tensor]
 Parameters = Mapping[str, Tensor]
@@ -138,8 +135,13 @@ class Node(ABC):
                 "it was made; change the rate there, or say free_rate = True in the class if it has not"
             )
 
-    def least_window(self, connection: "Connection", sender: "Node") -> int:
-        """How many of the last messages of a connection its steps must see, so that it misses none that it needs."""
+    def least_window(self, delay: Delay, sender: "Node") -> int:
+        """How many of the last messages of a connection its steps must see, so that it misses none that it needs.
+
+        Args:
+            delay: of the connection.
+            sender: its other end.
+        """
         return 1
 
     def init(self, parameters: Parameters, generator: torch.Generator, batch: int) -> State:
