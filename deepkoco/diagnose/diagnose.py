@@ -28,7 +28,6 @@ from deepkoco.diagnose.verdict.off_the_sheet import with_values_off_the_sheet
 from deepkoco.diagnose.verdict.result import diagnosis_of, insufficient
 from deepkoco.diagnose.weighed import explained
 from deepkoco.diagnose.window_choice import followed_length, length_for_enough
-from deepkoco.fit.data.sample_rate import sampled_as
 from deepkoco.fit.data.windows import window_length
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.fit.threads import one_thread
@@ -101,8 +100,6 @@ def diagnose(
         )
     with one_thread():
         usual = window_length(base) if window is None else window
-        if baseline is None:  # else it was learned for logs of any rate
-            base = sampled_as(base, [*recordings, *healthy, *holdout])
         limit = TimeLimit(time_limit, began=began)
         if baseline is not None:
             check_learned(baseline, base)

@@ -63,7 +63,7 @@ def learn_baseline(
 
     Args:
         recordings: Healthy logs.
-        system: The system, or what it is for the rate of all logs that are compared, see :meth:`.System.sampled_every`.
+        system: The system.
         length: Length of the windows [s].
         progress: Called with the name of each step.
         extension: Largest number of small effects that are added.

@@ -154,9 +154,7 @@ def _identification(
 def _fitted(request: FitRequest, values: Mapping[str, float]) -> ExtendedSystem:
     own = request.system
     names = tuple(e.name for e in own.effects)
-    return ExtendedSystem(
-        own.base.sampled_every(0.0), names, {p.name: values[p.name] for p in own.parameters}
-    )
+    return ExtendedSystem(own.base, names, {p.name: values[p.name] for p in own.parameters})
 
 
 def _inverted(request: FitRequest, found: Fit, deflation: float) -> tuple[np.ndarray, np.ndarray]:

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from deepkoco.fit.data.per_log_differences import may_differ
-from deepkoco.fit.data.sample_rate import sampled_as
 from deepkoco.fit.data.windows import Windows, cut_windows, moving, window_length
 from deepkoco.fit.fit import FitProblem, channel_delays
 from deepkoco.fit.simulate.push import Push
@@ -100,7 +99,7 @@ def make_request(
     varies: Mapping[str, float] | None = None,
 ) -> FitRequest:
     """Check a request and cut the logs into windows. Args and Raises as :func:`deepkoco.fit.fit`."""
-    base = sampled_as(any_system(system), recordings)
+    base = any_system(system)
     known = {p.name: p for p in known_parameters(base)}
     free = tuple(dict.fromkeys(parameters))
     if not free:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from functools import cached_property
 
 import torch
@@ -299,19 +299,6 @@ class System(SignalPath, NamedJoints, Drawn, metaclass=Declared):
         A stiff servo inside the system needs shorter steps than the motion that a log shows.
         """
         return math.inf
-
-    def sampled_every(self, interval: float, jumps: Mapping[str, float] | None = None) -> System:
-        """The same system, for simulations that are compared with logs of some rate.
-
-        Where its fastest motions are over within a small part of a sample, their simulation need not follow them: it
-        may take longer steps, as long as what such a log shows stays the same. Parameters and channels are the same.
-        The rates that it was asked for before do not matter.
-
-        Args:
-            interval: Time from one measurement to the next [s]; 0: the system for all purposes.
-            jumps: By command, the largest change from one value to the next in these logs [the channel's unit].
-        """
-        return self
 
     def rollout(self, parameters: Parameters) -> Rollout | None:
         """Simulations along logs as one compiled loop, of the motion of :meth:`free_accelerations`; None for none."""

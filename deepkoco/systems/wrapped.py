@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
-from copy import copy
+from collections.abc import Collection
 
 import numpy as np
 from torch import Tensor
@@ -127,14 +126,6 @@ class WrappedSystem(System):
     @property
     def longest_step(self) -> float:
         return self.base.longest_step
-
-    def sampled_every(self, interval: float, jumps: Mapping[str, float] | None = None) -> WrappedSystem:
-        base = self.base.sampled_every(interval, jumps)
-        if base is self.base:
-            return self
-        other = copy(self)
-        other.base = base
-        return other
 
     def effort_of(self, commands: Tensor) -> Tensor:
         return self.base.effort_of(commands)

@@ -123,7 +123,7 @@ def insufficient(request: DiagnosisRequest) -> Diagnosis:
         advice=advice,
         data=describe_data(request.recordings, data, request.system),
         refit={},
-        model=system.sampled_every(0.0),
+        model=system,
         seed=request.seed,
         versions=versions(),
         seconds=time.perf_counter() - request.began,
@@ -297,8 +297,7 @@ def _model(request: DiagnosisRequest, explanation: Explanation, judgement: Judge
         for p in start.system.parameters
         if "." not in p.name or p.name.split(".")[0] in effects
     }
-    plain = given.base if isinstance(given, ExtendedSystem) else given
-    return ExtendedSystem(plain.sampled_every(0.0), effects, kept)
+    return ExtendedSystem(given.base if isinstance(given, ExtendedSystem) else given, effects, kept)
 
 
 def _small(explanation: Explanation) -> tuple[Cause, ...]:

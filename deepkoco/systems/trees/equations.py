@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -19,8 +18,10 @@ from deepkoco.systems.trees.loads import actuator_forces, clipped, passive_loads
 from deepkoco.systems.trees.outside_forces import outside_forces, with_forces
 from deepkoco.systems.trees.parameters import Law, actuator_law, joint_value, link_inertias
 from deepkoco.systems.trees.scalars import Scalar, Triple, add, total
-from deepkoco.systems.trees.stiffness import LONGEST_STEP, USUAL, Pace, added_armatures, added_dampings
+from deepkoco.systems.trees.stiffness import added_armatures
 from deepkoco.systems.trees.tree import Joint, OutsideForce, Tree
+
+LONGEST_STEP = 0.01  # of a fit [s]; see deepkoco.fit.data.windows
 
 
 class Steadying(NamedTuple):
@@ -28,7 +29,6 @@ class Steadying(NamedTuple):
 
     least_inertias: tuple[float, ...]  # of each joint [kg m2 or kg]
     longest_step: float  # that the values of the file allow [s]
-    pace: Pace = USUAL
 
 
 class Numbers(NamedTuple):
@@ -49,13 +49,8 @@ class Numbers(NamedTuple):
         laws = [actuator_law(actuator, parameters) for actuator in tree.actuators]
         if steadying is not None:
             step = min(steadying.longest_step, LONGEST_STEP)
-            least, pace = steadying.least_inertias, steadying.pace
-            added = added_armatures(tree.actuators, least, passive, laws, step, pace)
+            added = added_armatures(tree.actuators, steadying.least_inertias, passive, laws, step)
             passive["armature"] = [add(a, b) for a, b in zip(passive["armature"], added, strict=True)]
-            if math.isfinite(pace.shown):
-                inertias = [add(a, b) for a, b in zip(least, added, strict=True)]
-                added = added_dampings(tree.actuators, inertias, passive, laws, pace.shown)
-                passive["damping"] = [add(a, b) for a, b in zip(passive["damping"], added, strict=True)]
         inertias, forces = link_inertias(tree, parameters), outside_forces(tree, parameters)
         gravity, shape = turned_gravity(tree.gravity, parameters), shaped(tree, parameters)
         if shape is None:

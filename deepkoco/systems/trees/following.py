@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from copy import copy
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -95,14 +94,6 @@ class FollowingSystem(System):
     actuator_joints = property(lambda self: tuple(self.free.index(j) for j in self.base.actuator_joints))
     load_scales = property(lambda self: tuple(self.base.load_scales[j] for j in self.free))
     load_scale = property(lambda self: max(self.load_scales))
-
-    def sampled_every(self, interval: float, jumps: Mapping[str, float] | None = None) -> FollowingSystem:
-        base = self.base.sampled_every(interval, jumps)
-        if base is self.base:
-            return self
-        other = copy(self)
-        other.base = base
-        return other
 
     @property
     def command_joints(self) -> tuple[int, ...]:

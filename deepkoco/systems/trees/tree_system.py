@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Collection, Mapping, Sequence
-from copy import copy
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -58,15 +56,7 @@ from deepkoco.systems.trees.rollout import TreeRollout, is_known
 from deepkoco.systems.trees.scalars import Triple, mul, total
 from deepkoco.systems.trees.scales import command_range, delivered, load_scales, motion_loads
 from deepkoco.systems.trees.settings import TreeSettings
-from deepkoco.systems.trees.stiffness import (
-    USUAL,
-    Pace,
-    least_inertias,
-    longest_step,
-    pace_of,
-    refuse_redundant,
-    settles_within,
-)
+from deepkoco.systems.trees.stiffness import least_inertias, longest_step, refuse_redundant
 from deepkoco.systems.trees.tree import Tree, TreeError
 from deepkoco.systems.trees.visible import visible_parameters
 
@@ -77,8 +67,7 @@ class TreeSystem(System):
     M and c follow from the masses, centres of mass and inertias of the bodies. f is the force of the actuators:
     clip((g0 + g1 l + g2 l') u + b0 + b1 l + b2 l') with l = gear q, u clipped to its range and behind a first-order
     filter where the actuator has one. `accelerations` are exactly these; simulations (`derivative`,
-    `free_accelerations`) slow down motions that are too fast for any log, see :mod:`deepkoco.systems.trees.stiffness`;
-    those of a system for logs of a known rate (`sampled_every`) slow down what is too fast for these.
+    `free_accelerations`) slow down motions that are too fast for any log, see :mod:`deepkoco.systems.trees.stiffness`.
     Contacts and limits of joints are not simulated; :attr:`notes` says so where the
     model has any.
 
@@ -120,8 +109,9 @@ class TreeSystem(System):
         self.force_sites = tuple(body.name for body in tree.bodies)
         refuse_redundant(tree, self.origin or self.name)
         least = least_inertias(tree)
-        self._longest_step, self._steadying = self._at_pace(least, USUAL)
-        self._as_given: TreeSystem | None = None  # of a system for logs of a known rate, the one for all logs
+        nominal = Numbers.of(tree, {}, Steadying(least, 0.0))
+        self._longest_step = longest_step(tree, nominal.passive["armature"], nominal.laws)
+        self._steadying = Steadying(least, self._longest_step)
         self.tip = settings.tip(self.payload_sites, tip_place(tree))
         self._view = choose_view(tree)
         self._arrays = TreeArrays(tree)
@@ -178,33 +168,6 @@ class TreeSystem(System):
     @property
     def longest_step(self) -> float:
         return self._longest_step
-
-    def sampled_every(self, interval: float, jumps: Mapping[str, float] | None = None) -> TreeSystem:
-        own = self._as_given or self
-        if interval <= 0.0:
-            return own
-        pace, step = pace_of(interval)
-        if own._longest_step >= step or not own._settles_within(interval, pace.shown, jumps or {}):
-            return own
-        other = copy(own)
-        other._as_given = own
-        other._longest_step, other._steadying = own._at_pace(own._steadying.least_inertias, pace, step)
-        return other
-
-    def _settles_within(self, interval: float, shown: float, jumps: Mapping[str, float]) -> bool:
-        """Return whether the swings that are too fast for a log are over from one sample to the next."""
-        nominal = Numbers.of(self.tree, {}, self._steadying)
-        known = [jumps.get(channel.name, 0.0) for channel in self.commands]
-        return settles_within(self.tree, nominal.passive["armature"], nominal.laws, known, interval, shown)
-
-    def _at_pace(
-        self, least: tuple[float, ...], pace: Pace, longest: float = math.inf
-    ) -> tuple[float, Steadying]:
-        """Return the longest step [s] at a pace, and what decides the armatures that simulations add."""
-        nominal = Numbers.of(self.tree, {}, Steadying(least, 0.0, pace))
-        armatures, dampings = nominal.passive["armature"], nominal.passive["damping"]
-        step = longest_step(self.tree, armatures, nominal.laws, pace.shown, dampings)
-        return min(step, longest), Steadying(least, min(step, longest), pace)
 
     @property
     def delivered_scales(self) -> tuple[tuple[float, str], ...]:
