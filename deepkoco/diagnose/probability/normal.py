@@ -61,7 +61,12 @@ class Changes:
             gram: Likelihood of all columns.
             healthy: Prior of x.
             inside: Number of the column that each x moves; None for all columns in their order.
+
+        Raises:
+            LinAlgError: The information is not finite, as that of simulations that nearly diverge is.
         """
+        if not (np.isfinite(gram.information).all() and np.isfinite(gram.pull).all()):
+            raise np.linalg.LinAlgError("the information of the logs is not finite")
         inside = np.arange(len(gram.pull)) if inside is None else inside
         matrix = gram.information[np.ix_(inside, inside)] + healthy.precision
         scale = 1.0 / np.sqrt(np.diag(matrix))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from deepkoco.diagnose.probability.gram import KeptColumns, UnitLoads, WindowSums, misfit
+from deepkoco.diagnose.probability.gram import Gram, KeptColumns, UnitLoads, WindowSums, misfit
 from deepkoco.diagnose.probability.normal import Changes, Normal
 
 FLAT = 1e4  # standard deviation that stands for a flat prior
@@ -95,3 +95,11 @@ def test_the_misfit_of_a_diverged_simulation_is_infinite(size):
     _, _, responses, residual = problem(6)
     residual[1, 5:] = size
     assert misfit(UnitLoads.of(responses), residual, 0.6) == np.inf
+
+
+@pytest.mark.parametrize("value", [np.inf, np.nan])
+def test_information_of_simulations_that_nearly_diverge_is_refused_as_no_matrix(value):
+    information = np.eye(3)
+    information[2, 1] = information[1, 2] = value
+    with pytest.raises(np.linalg.LinAlgError, match="not finite"):
+        Changes.of(Gram(information, np.zeros(3), 1.0, 0.0), Normal.of(np.zeros(3), np.eye(3)))
