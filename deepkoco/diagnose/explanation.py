@@ -34,6 +34,7 @@ class Explanation:
         joined: Names of the causes that joined the baseline because the healthy logs are consistent with them.
         unfitted: What could not be fitted, in words.
         weights: Probabilities of explanations; None where none were asked.
+        longer: Whether the windows are longer than those of the weights.
         weighed: Whether its causes are those that weigh most.
         wanted: Fall of the BIC that its first cause needs; None where the question states it.
     """
@@ -44,6 +45,7 @@ class Explanation:
     joined: tuple[str, ...]
     unfitted: tuple[str, ...]
     weights: Answer | None = None
+    longer: bool = False
     weighed: bool = False
     wanted: float | None = None
 

@@ -133,7 +133,7 @@ def _fitted_again(request: DiagnosisRequest, explanation: Explanation) -> Explan
     stale = any(len(ranking.reference.state) != len(longer.train) for ranking, _ in again.steps)
     if stale or not again.accepted:
         return None
-    return of_mean(replace(explanation, base=longer, found=again))
+    return of_mean(replace(explanation, base=longer, found=again, longer=True))
 
 
 def _refit(

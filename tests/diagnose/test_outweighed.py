@@ -19,7 +19,7 @@ def answer(*weights):
     return Answer.of(found, len(found), 0.0)
 
 
-def doubt(weights, classes=(("sensor_scale",),), left=50.0, lost=None):
+def doubt(weights, classes=(("sensor_scale",),), left=50.0, lost=None, longer=False):
     """The doubt about causes that leave so many noise variances, where noise is 1.1 at most."""
     causes = tuple(SimpleNamespace(name=names[0]) for names in classes)
     found = SimpleNamespace(
@@ -31,7 +31,9 @@ def doubt(weights, classes=(("sensor_scale",),), left=50.0, lost=None):
     base = SimpleNamespace(
         train=SimpleNamespace(samples=SAMPLES), start=SimpleNamespace(most_noise=lambda _: 1.1)
     )
-    return outweighed(cast(Explanation, SimpleNamespace(base=base, found=found, weights=weights)))
+    return outweighed(
+        cast(Explanation, SimpleNamespace(base=base, found=found, weights=weights, longer=longer))
+    )
 
 
 def test_a_cause_that_adds_nothing_to_a_smooth_load_is_no_name():
@@ -56,6 +58,7 @@ def test_the_members_of_a_class_stand_for_each_other():
     "given",
     [
         {"left": 1.05},  # it explains the log
+        {"longer": True},  # the weights are of shorter windows than the causes
         {"lost": object()},  # lost commands are no explanation that is weighed here
         {"classes": (("sensor_scale",), ("jitter",))},  # one of two was not weighed
     ],

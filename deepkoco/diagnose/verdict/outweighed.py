@@ -29,6 +29,9 @@ def outweighed(explanation: Explanation) -> str | None:
     base, found, weights = explanation.base, explanation.found, explanation.weights
     if weights is None or found.lost is not None or not found.accepted:
         return None
+    # A cause that has stood on longer windows is not doubted for what shorter ones told of it.
+    if explanation.longer:
+        return None
     left = found.final.chi2 / base.train.samples
     if left <= base.start.most_noise(base.train):
         return None
