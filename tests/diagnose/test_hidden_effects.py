@@ -6,6 +6,7 @@ from deepkoco.diagnose import diagnose
 from deepkoco.excitation.record import record
 from deepkoco.unit import make_unit
 from experiments.studies.diagnosis.hidden.recorded import strength, unit_log
+from tests.on_time import on_time
 from tests.oracle.unit import hidden_log
 from tests.studied import studied
 
@@ -63,6 +64,7 @@ def test_nothing_is_named_on_a_control(seed):
 
 
 @pytest.mark.study
+@on_time
 def test_hidden_effect_is_found_in_wall_clock_time():
     spec = make_unit("rod_pendulum", effects={"coulomb": {"torque": 0.15}}, seed=3)
     result = diagnose([record(spec, "chirp", 12.0, clock="wall", seed=3)], "rod_pendulum")
