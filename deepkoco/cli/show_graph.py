@@ -42,7 +42,7 @@ def show_graph(args: argparse.Namespace) -> int:
         if args.html is not None:
             with writing(args.html):
                 args.html.parent.mkdir(parents=True, exist_ok=True)
-            given = read_graph_file(str(args.path))
+            given = file if args.setup is None else read_graph_file(str(args.path))
             own = describe_setup(given.graph, given.parameters())
             write_page(args.html, graph, title=args.path.name, parameters=parameters, changed_from=own)
     except (OwnObjectError, SetupError, GraphError, DrawingError) as error:

@@ -45,6 +45,11 @@ class Reel(Belt):
     measurements = (Channel("drum", "m/s", "measurement", noise_sd=2e-3),)
 
 
+def slope(_, state, goal):
+    """Speed, and acceleration of a drum that follows a goal of its speed."""
+    return [state[1], DRIVE * (goal - state[1]) - DAMPING * state[1]]
+
+
 def log_of(scale):
     rng = np.random.default_rng(20011)
     n = RATE * SECONDS
@@ -52,8 +57,7 @@ def log_of(scale):
     goals = np.repeat(rng.uniform(-0.6, 0.6, n), rng.integers(15, 80, n))[:n]
     states = [np.zeros(2)]
     for goal in goals[:-1]:
-        slope = lambda _, x, u=goal: [x[1], DRIVE * (u - x[1]) - DAMPING * x[1]]  # noqa: E731
-        found = solve_ivp(slope, (0.0, 1.0 / RATE), states[-1], rtol=1e-9, atol=1e-12)
+        found = solve_ivp(slope, (0.0, 1.0 / RATE), states[-1], rtol=1e-9, atol=1e-12, args=(goal,))
         states.append(found.y[:, -1])
     way, drum = np.array(states).T
     way = scale * way + 2e-4 * rng.standard_normal(n)

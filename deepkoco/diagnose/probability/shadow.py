@@ -27,6 +27,7 @@ from deepkoco.diagnose.probability.healthy_unit import HealthyUnit, learned_unit
 from deepkoco.diagnose.probability.linear import Linearisation
 from deepkoco.diagnose.probability.model_error import in_time, of_motion, ranges_of, slot_responses
 from deepkoco.diagnose.probability.posterior import weighed
+from deepkoco.diagnose.probability.promising import as_promising, doubted, promising
 from deepkoco.diagnose.probability.refine import Fixed, Refit, refined, started, widened
 from deepkoco.diagnose.probability.search import Scored, search
 from deepkoco.diagnose.probability.unit import DeclaredUnit, UnitPrior, WithZeros, declared_of
@@ -37,9 +38,6 @@ from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 
-REFITTED = 20  # explanations that are refitted at each point of linearisation
-BEHIND = 12.0  # nats behind the best from which an explanation is not refitted
-RIVALS = 8  # single causes that are refitted beside those
 PRICE = 20.0  # nats that a wider explanation may lose to the choice among causes and to its parameters
 
 
@@ -178,7 +176,7 @@ class Weighing:
         """
         began, found = time.process_time(), [*self.found]
         for point in self.points:
-            more = _doubted(point.scored, named, found)
+            more = doubted(point.scored, named, found)
             found += _refitted(self.problem, point, more)[0] if more else []
         tried = sum(len(p.scored) for p in self.points)
         if not found:
@@ -207,9 +205,9 @@ def weighing(
             points.append(linearised(problem, as_given, start, causes, unit))
     found: list[Weighed] = []
     for point in points:
-        promising = _promising(point.scored)
-        refits, plain = _refitted(problem, point, promising)
-        more = _as_promising(point.scored, promising, refits)
+        first = promising(point.scored)
+        refits, plain = _refitted(problem, point, first)
+        more = as_promising(point.scored, first, refits)
         found += [*refits, *(_refitted(problem, point, more, plain)[0] if more else [])]
     return Weighing(problem, points, found, time.process_time() - began)
 
@@ -345,41 +343,6 @@ def _refitted(
     return found, plain
 
 
-def _as_promising(
-    scored: Sequence[Scored], refitted: Sequence[Scored], found: Sequence[Weighed]
-) -> list[Scored]:
-    """Return single causes that are behind by less than the scores at a point of linearisation are wrong.
-
-    A score is wrong by what a refit adds to it. Far from the point where a simulation is linear, that is a hundred nats
-    between causes that do nearly the same, such as a delay and a filter.
-    """
-    score = {s.explanation.causes: s.log_weight for s in reversed(refitted)}
-    wrong = max((e.log_weight - score[e.causes] for e in found if e.causes in score), default=0.0)
-    chosen: dict[tuple[str, ...], Scored] = {}
-    for s in scored:
-        single = len(s.explanation.items) == 1 and not s.explanation.unknown
-        near = s.log_weight > scored[0].log_weight - BEHIND - max(wrong, 0.0)
-        if single and near and s.explanation.causes not in score and len(chosen) < RIVALS:
-            chosen.setdefault(s.explanation.causes, s)
-    return list(chosen.values())
-
-
-def _doubted(scored: Sequence[Scored], named: Collection[str], found: Sequence[Weighed]) -> list[Scored]:
-    """Return named causes alone and beside an unknown one, from their best starts, if others are more probable so far.
-
-    A linearised score may be wrong by all that a cause explains, so they have to be refitted before they are doubted.
-    """
-    if not named or not found or Answer.of(found, 0, 0.0).of_any(named) > 0.5:
-        return []
-    known = {e.causes for e in found}
-    chosen: dict[tuple[str, ...], Scored] = {}
-    for s in scored:
-        single = len(s.explanation.items) == 1 and s.explanation.items[0].cause.name in named
-        if single and s.explanation.causes not in known:
-            chosen.setdefault(s.explanation.causes, s)
-    return list(chosen.values())
-
-
 def _in_order(listed: Catalogue, healthy: HealthyUnit) -> np.ndarray:
     """Return the columns of the tolerated changes in the order in which healthy logs know them."""
     found = {
@@ -389,14 +352,3 @@ def _in_order(listed: Catalogue, healthy: HealthyUnit) -> np.ndarray:
     if missing:
         raise DivergedError(f"the healthy logs show {missing[0]}, which these logs cannot show")
     return np.array([found[n] for n in healthy.tolerated], dtype=int)
-
-
-def _promising(scored: Sequence[Scored]) -> list[Scored]:
-    """Return the explanations to refit: the best ones, and nothing and unknown in any case."""
-    best = scored[0].log_weight
-    chosen: dict[tuple[str, ...], Scored] = {}
-    for s in scored:
-        always = not s.explanation.items
-        if always or (s.log_weight > best - BEHIND and len(chosen) < REFITTED):
-            chosen.setdefault(s.explanation.causes, s)
-    return list(chosen.values())
