@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 
+from deepkoco.diagnose.as_engine import as_engine_if_shown
 from deepkoco.diagnose.baseline import (
     Baseline,
     BaselineError,
@@ -99,10 +100,13 @@ def diagnose(
             "that was learned from them"
         )
     with one_thread():
-        usual = window_length(base) if window is None else window
         limit = TimeLimit(time_limit, began=began)
         if baseline is not None:
             check_learned(baseline, base)
+            base = (base.with_engine() or base) if baseline.system.engine else base
+        else:
+            base = as_engine_if_shown(healthy or recordings, base, window)
+        usual = window_length(base) if window is None else window
         # Healthy logs show what the unit does, and their baseline follows it.
         chosen = window is not None or baseline is not None or healthy
         length = usual if chosen else followed_length(recordings, base)

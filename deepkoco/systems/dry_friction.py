@@ -20,11 +20,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from deepkoco.systems.creep import Creep, slide_and_creep
 from deepkoco.systems.motion import Motion
 from deepkoco.systems.plain import is_plain, is_readable
 
 Values = tuple[Tensor, ...]
 Levels = tuple[Tensor | None, ...]
+Creeps = tuple[Creep, ...] | None
 
 SWEEPS = 400  # at most; two joints need about five, and five that drag hard on each other up to a hundred
 UNREAD_SWEEPS = 12  # always, where the values cannot be read: in a trace, and on a device
@@ -41,11 +43,13 @@ class DryFriction:
             drives the joint; a fit may pass through such values.
         joints: Joints that can have any, those of ``varying`` included.
         varying: (motion, J levels) -> J levels with those added that depend on the motion; None for none.
+        creeps: Of each joint, how softly its friction holds it; None where friction holds every joint.
     """
 
     steady: Levels
     joints: tuple[int, ...]
     varying: Callable[[Motion, Levels], Levels] | None = None
+    creeps: Creeps = None
 
     def levels(self, motion: Motion) -> Levels:
         """J levels in a state of motion [N m or N]; None for a joint without dry friction."""
@@ -101,6 +105,7 @@ def rubbed(
     stick: Levels,
     inverse: tuple[Values, ...],
     h: float,
+    creeps: Creeps = None,
 ) -> Rubbed:
     """Find the friction loads of all joints over a step, and correct the speeds after it.
 
@@ -112,10 +117,11 @@ def rubbed(
         stick: J levels of dry friction of joints at rest.
         inverse: J rows of the inverse inertia.
         h: Step [s].
+        creeps: As of :class:`DryFriction`.
     """
     joints = range(len(before))
     if is_plain([*before, *after, *applied, *slide, *stick, *(w for row in inverse for w in row)]):
-        return _rubbed_in_a_loop(before, after, applied, slide, stick, inverse, h)
+        return _rubbed_in_a_loop(before, after, applied, slide, stick, inverse, h, creeps)
     load = {j: value for j, value in enumerate(applied) if value is not None}
     mean = [(b - a) / h for a, b in zip(before, after, strict=True)]
     speed, moved, hold = list(after), [0.5 * h * (a + b) for a, b in zip(before, after, strict=True)], {}
@@ -126,7 +132,12 @@ def rubbed(
         for j in load:
             own = inverse[j][j]
             others = mean[j] - own * load[j]
-            speed[j], moved[j] = slide_and_rest(before[j], others, own * levels[j][0], own * levels[j][1], h)
+            if creeps is None:
+                speed[j], moved[j] = slide_and_rest(
+                    before[j], others, own * levels[j][0], own * levels[j][1], h
+                )
+            else:
+                speed[j], moved[j] = slide_and_creep(before[j], others, levels[j][0], own, creeps[j], h)
             new = ((speed[j] - before[j]) / h - others) / own
             hold[j] = torch.minimum(torch.maximum(-others / own, -levels[j][1]), levels[j][1])
             change = new - load[j]
@@ -157,6 +168,7 @@ def _rubbed_in_a_loop(
     stick: Levels,
     inverse: tuple[Values, ...],
     h: float,
+    creeps: Creeps,
 ) -> Rubbed:
     """As :func:`rubbed`, compiled: the sweeps in torch cost several times as much as all other equations."""
     from deepkoco.systems.dry_friction_loop import rub
@@ -181,7 +193,8 @@ def _rubbed_in_a_loop(
     speed, moved, hold = np.empty_like(start), np.empty_like(start), np.empty_like(load)
     sweeps = 1 if len(rubbing) == 1 else SWEEPS
     rub(
-        start, ends, load, moving, resting, masses, np.array(rubbing, np.int64), h, sweeps, CLOSE, speed, moved, hold
+        start, ends, load, moving, resting, masses, np.array(rubbing, np.int64), creep_table(creeps, rubbing), h,
+        sweeps, CLOSE, speed, moved, hold,
     )  # fmt: skip
     loads: list[Tensor | None] = [None] * joints
     holds: list[Tensor | None] = [None] * joints
@@ -189,6 +202,11 @@ def _rubbed_in_a_loop(
         loads[j], holds[j] = (torch.from_numpy(x[r]).view(shape) for x in (load, hold))
     whole = [torch.from_numpy(x).view(joints, *shape).unbind(0) for x in (speed, moved)]
     return Rubbed(whole[0], whole[1], tuple(loads), tuple(holds))
+
+
+def creep_table(creeps: Creeps, rubbing: Sequence[int]) -> np.ndarray:
+    """Inertia and rate of the creep of each rubbing joint (R, 2), for compiled loops; zeros where friction holds."""
+    return np.array([(0.0, 0.0) if creeps is None else creeps[j] for j in rubbing], float).reshape(-1, 2)
 
 
 def sliding_loads(levels: Levels, direction: Levels) -> Levels:

@@ -14,8 +14,48 @@ from deepkoco.systems.uncounted import UNCOUNTED
 
 
 @njit(**UNCOUNTED)
+def slide_and_creep(speed, free, level, own, inertia, b, h):
+    """Speed after a step, and way over it, of one joint: as in :mod:`deepkoco.systems.creep`."""
+    soft, full = own * inertia, own * level
+    edge = full * (1.0 + 1.0 / soft)
+    v, way, rest = speed, 0.0, h
+    asked = free + b * v
+    if abs(asked) > edge:
+        side = np.sign(asked)
+        slowing, until = free - side * full, h
+        if side * slowing < 0.0:
+            low = (side * edge - free) / b
+            until = min(max((low - v) / slowing, 0.0), h)
+        end = v + slowing * until
+        way += 0.5 * (v + end) * until
+        rest = h - until
+        v = low if rest > 0.0 else end
+    if rest > 0.0:
+        rate, goal, creeping = soft * b / (1.0 + soft), free / (soft * b), rest
+        if abs(free) > full:
+            high = (np.sign(free) * edge - free) / b
+            creeping = min(math.log(max((v - goal) / (high - goal), 1.0)) / rate, rest)
+        fade = -math.expm1(-rate * creeping)
+        end = v + (goal - v) * fade
+        way += goal * creeping + (v - goal) * fade / rate
+        left = rest - creeping
+        v = end + (free - np.sign(free) * full) * left
+        way += 0.5 * (end + v) * left
+    return v, way
+
+
+@njit(**UNCOUNTED)
+def slips(before, after, first, last, level, inertia, rate):
+    """Whether a joint goes on in its direction under the full level of a friction that creeps: see `creep.slips`."""
+    if before * after <= 0.0:
+        return False
+    sign, full = np.sign(before), max(level, 0.0)
+    return inertia * sign * (first + rate * before) >= full and inertia * sign * (last + rate * after) >= full
+
+
+@njit(**UNCOUNTED)
 def rub_element(
-    before, load, slide, stick, inverse, rubbing, mean, step, sweeps, close, speed, moved, hold, n
+    before, load, slide, stick, inverse, rubbing, creeps, mean, step, sweeps, close, speed, moved, hold, n
 ):
     """Find the friction loads of one element n, as :func:`rub` does; ``mean`` (J,) are its mean accelerations."""
     joints = len(mean)
@@ -27,16 +67,20 @@ def rub_element(
             others = mean[j] - own * load[r, n]
             least = own * stick[r, n]
             v = before[j, n]
-            pace, sign = abs(v), np.sign(v)
-            brake = own * slide[r, n] - sign * others
-            left = pace - brake * step
-            until = step if left > 0.0 else pace / max(brake, pace / step, 1e-30)
-            first = sign * max(left, 0.0)
-            rest = step - until
-            leaves = np.sign(others) * max(abs(others) - least, 0.0)
-            end = first + leaves * rest
+            if creeps[r, 0] > 0.0:
+                end, way = slide_and_creep(v, others, slide[r, n], own, creeps[r, 0], creeps[r, 1], step)
+            else:
+                pace, sign = abs(v), np.sign(v)
+                brake = own * slide[r, n] - sign * others
+                left = pace - brake * step
+                until = step if left > 0.0 else pace / max(brake, pace / step, 1e-30)
+                first = sign * max(left, 0.0)
+                rest = step - until
+                leaves = np.sign(others) * max(abs(others) - least, 0.0)
+                end = first + leaves * rest
+                way = 0.5 * (v + first) * until + 0.5 * leaves * rest * rest
             speed[j, n] = end
-            moved[j, n] = 0.5 * (v + first) * until + 0.5 * leaves * rest * rest
+            moved[j, n] = way
             new = ((end - v) / step - others) / own
             hold[r, n] = min(max(-others / own, -stick[r, n]), stick[r, n])
             change = new - load[r, n]
@@ -58,6 +102,7 @@ def rub(
     stick,  # (R, N) levels of joints at rest, not negative
     inverse,  # (J, J, N) inverse inertia
     rubbing,  # (R,) indices of the rubbing joints
+    creeps,  # (R, 2) inertia and rate of their creep; an inertia of 0 where friction holds
     step,  # [s]
     sweeps,  # largest number
     close,  # change of an acceleration, as a share of it, at which the sweeps end
@@ -75,7 +120,21 @@ def rub(
         for k in range(joints):
             mean[k] = (after[k, n] - before[k, n]) / step
         rub_element(
-            before, load, slide, stick, inverse, rubbing, mean, step, sweeps, close, speed, moved, hold, n
+            before,
+            load,
+            slide,
+            stick,
+            inverse,
+            rubbing,
+            creeps,
+            mean,
+            step,
+            sweeps,
+            close,
+            speed,
+            moved,
+            hold,
+            n,
         )
         for k in range(joints):
             if not is_rubbing[k]:

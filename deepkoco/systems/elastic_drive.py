@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -128,7 +129,7 @@ class ElasticDrive(WrappedSystem):
             assert varying is not None
             return (*varying(self._in_front(motion), given[: self.own_joints]), *extra)
 
-        return DryFriction((*base.steady, *extra), base.joints, None if varying is None else levels)
+        return replace(base, steady=(*base.steady, *extra), varying=None if varying is None else levels)
 
     def joint_memory(self, parameters: Parameters) -> JointMemory:
         return JointMemory(())

@@ -119,7 +119,7 @@ class ExtendedSystem(WrappedSystem):
         def varying(motion: Motion, given: Levels) -> Levels:
             return levels(motion, given if base.varying is None else base.varying(motion, given))
 
-        return DryFriction(tuple(steady), tuple(joints), varying)
+        return replace(base, steady=tuple(steady), joints=tuple(joints), varying=varying)
 
     def dry_friction_limits(self, parameters: Parameters) -> Levels:
         joints = range(self.joints)

@@ -47,6 +47,7 @@ def save_model(path: str | Path, system: System, provenance: Mapping[str, Any] |
         "version": MODEL_VERSION,
         "system": base.name,
         **({} if origin is None else {"origin": stored_origin(origin, path.parent)}),
+        **({} if system.engine is None else {"engine": system.engine}),
         "effects": effects,
         # Fitted to data, without a mechanism behind it: for readers of the file.
         **({"learned": learned} if learned else {}),
@@ -75,6 +76,7 @@ def load_model(path: str | Path) -> ExtendedSystem:
     try:
         values = {name: float(entry["value"]) for name, entry in document["parameters"].items()}
         base = _base_of(document, path)
+        base = _in_engine(document.get("engine"), base)
         if any(str(effect).split("(")[0] == ELASTIC.name for effect in document["effects"]):
             base = ElasticDrive(base)
         system = ExtendedSystem(base, tuple(document["effects"]), values)
@@ -84,6 +86,18 @@ def load_model(path: str | Path) -> ExtendedSystem:
         raise ModelFileError(f"{path}: {error}") from error
     system.source = path
     return system
+
+
+def _in_engine(name: str | None, base: System) -> System:
+    """The system as an engine simulates it; None: as a real machine moves.
+
+    Raises:
+        ValueError: The system's file is of no such engine.
+    """
+    found = base if name is None else base.with_engine()
+    if found is None or found.engine != name:
+        raise ValueError(f'engine: {base.name} is simulated by no "{name}"; leave this key out')
+    return found
 
 
 def _base_of(document: dict[str, Any], path: Path) -> System:

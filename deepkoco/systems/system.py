@@ -214,6 +214,18 @@ class System(SignalPath, NamedJoints, Drawn, metaclass=Declared):
         limits = self.dry_friction_limits(parameters)
         return DryFriction(limits, tuple(j for j, limit in enumerate(limits) if limit is not None))
 
+    @property
+    def engine(self) -> str | None:
+        """Engine whose steps and friction it is simulated with along logs, ``"MuJoCo"``; None for a real machine."""
+        return None
+
+    def with_engine(self) -> System | None:
+        """The system as the engine of its file simulates it; None if it is so already, or has no engine.
+
+        Friction then creeps, see :mod:`deepkoco.systems.creep`, and commands act as early as in the engine's steps.
+        """
+        return None
+
     def joint_memory(self, parameters: Parameters) -> JointMemory:
         """What effects remember of the ways of the joints; nothing for a plain system."""
         return JointMemory(())

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from copy import copy
+from typing import Self
 
 import numpy as np
 from torch import Tensor
@@ -171,6 +173,18 @@ class WrappedSystem(System):
 
     def dry_friction_levels(self, parameters: Parameters) -> DryFriction:
         return self.base.dry_friction_levels(parameters)
+
+    @property
+    def engine(self) -> str | None:
+        return self.base.engine
+
+    def with_engine(self) -> Self | None:
+        base = self.base.with_engine()
+        if base is None:
+            return None
+        wrapped = copy(self)
+        wrapped.base, wrapped.notes = base, base.notes
+        return wrapped
 
     def joint_memory(self, parameters: Parameters) -> JointMemory:
         return self.base.joint_memory(parameters)

@@ -51,7 +51,7 @@ def block(friction=FRICTION, stiffness=0.0):
 def whole_step(equations, angle, speed, drive, rest=NONE):
     direction = directions(speed, rest, equations.friction)
     step = step_of(equations, angle, speed, drive, direction, H)
-    rows = turning(speed, step.speed, equations.friction)
+    rows = turning(equations, angle, speed, drive, step)
     if len(rows) == 0:
         return step
     assert len(rows) == len(speed[0])
@@ -154,7 +154,7 @@ def test_corrected_windows_leave_the_others_as_they_are():
     before, drive, equations = row(0.5, 0.01, -0.5), driven((-3.0, -3.0), 3), block()
     direction = directions(before, NONE, equations.friction)
     whole = step_of(equations, row(0.0, 0.0, 0.0), before, drive, direction, H)
-    rows = turning(before, whole.speed, equations.friction)
+    rows = turning(equations, row(0.0, 0.0, 0.0), before, drive, whole)
     assert rows.tolist() == [1]
     part = whole_step(equations, row(0.0), row(0.01), drive.rows(rows))
     step = replaced(whole, rows, part)

@@ -280,3 +280,12 @@ def test_poses_of_other_things_are_no_doubt_of_an_arm_that_follows_its_goals(tmp
     assert all(
         choice.column.name != "box_x_m" for choice in fitting.proposal.choices if choice.column is not None
     )
+
+
+@pytest.mark.parametrize("name", ["{}_cmd", "{}_setpoint", "u_{}", "{} command", "ctrl_{}"])
+def test_the_name_of_an_actuator_may_stand_beside_a_word_for_a_goal(tmp_path, name):
+    motors = '<motor name="drive" joint="first" gear="10"/><motor name="m_b" joint="second" gear="4"/>'
+    wanted = {"drive": name.format("drive"), "m_b": name.format("m_b")}
+    moving = swings("first_pos_rad", "second_pos_rad", *wanted.values())
+    choices, _, _ = machine(tmp_path, motors, pd.DataFrame({"t": 0.01 * np.arange(600), **moving}))
+    assert {motor: choices[motor].column.name for motor in wanted} == wanted

@@ -35,7 +35,7 @@ def along_a_log(system, angle, speed, rest, efforts, ticks):
         drive = Drive((efforts[k],) * 3, (time,) * 3, None)
         direction = directions(speed, rest, friction)
         step = step_of(equations, angle, speed, drive, direction, H)
-        if len(turning(speed, step.speed, friction)):
+        if len(turning(equations, angle, speed, drive, step)):
             step = corrected(equations, step, angle, speed, drive, direction, H)
         angle, speed, rest = step.angle, step.speed, step.rest
         states.append(torch.cat([*angle, *speed], -1))

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from deepkoco.systems import ExtendedSystem, System
+from deepkoco.systems.creep import slips
 from deepkoco.systems.dry_friction import DryFriction, Levels, Rubbed, as_shares, rubbed, sliding_loads
 from deepkoco.systems.joint_memory import JointMemory
 from deepkoco.systems.motion import Acceleration, InverseInertia, Motion
@@ -170,18 +171,36 @@ def _with_friction(load: Levels | None, levels: Levels, direction: Levels) -> Le
     return tuple(total)
 
 
-def turning(before: Values, after: Values, friction: DryFriction) -> Tensor:
-    """Windows in which a joint with dry friction turns, comes to rest or is at rest.
+def turning(equations: Equations, angle: Values, speed: Values, drive: Drive, step: Step) -> Tensor:
+    """Windows in which a joint with dry friction turns, comes to rest, is at rest or creeps.
 
     Args:
-        before, after: Per joint (W, L), speeds at the ends of the step.
-        friction: Levels of the dry friction.
+        equations, angle, speed, drive: As for :func:`step_of`.
+        step: Its result.
     """
     found: Tensor | None = None
+    friction = equations.friction
+    levels = friction.steady
+    if friction.creeps is not None and friction.varying:
+        efforts, times = drive.efforts[0], drive.times[0]
+        levels = friction.levels(Motion(angle, speed, efforts, None, times, equations.smoothing))
     for j in friction.joints:
-        near = (before[j] * after[j] <= 0.0).any(-1)
+        near = _binds(friction, levels, step, speed, step.speed, j).any(-1)
         found = near if found is None else found | near
     return torch.zeros(0, dtype=torch.long) if found is None else found.nonzero()[:, 0]
+
+
+def _binds(
+    friction: DryFriction, levels: Levels, step: Step, before: Values, after: Values, j: int
+) -> Tensor:
+    """Where a joint does not go on in its direction under the full level of its friction (W, L)."""
+    binds = before[j] * after[j] <= 0.0
+    level = levels[j]
+    if friction.creeps is None or level is None:
+        return binds
+    full, creep = level.clamp_min(0.0), friction.creeps[j]
+    slides = slips(before[j], step.first[j], full, creep) & slips(after[j], step.last[j], full, creep)
+    return binds | ~slides
 
 
 class Contact(NamedTuple):
@@ -213,10 +232,12 @@ def corrected(
         step: Its result.
     """
     at = contact_of(equations, angle, speed, drive, direction)
-    found = rubbed(speed, step.speed, at.applied, at.slide, at.stick, at.inverse, h)
+    creeps = equations.friction.creeps
+    found = rubbed(speed, step.speed, at.applied, at.slide, at.stick, at.inverse, h, creeps)
     again, direction, applied = step_again(equations, angle, speed, drive, direction, at, found.load, h)
-    found = rubbed(speed, again.speed, applied, at.slide, at.stick, at.inverse, h)
-    return bound_of(angle, speed, again, direction, at.stick, found, h)
+    found = rubbed(speed, again.speed, applied, at.slide, at.stick, at.inverse, h, creeps)
+    bound = bound_of(angle, speed, again, direction, at.stick, found, h)
+    return bound if creeps is None else _with_mean_ends(equations.friction, at.slide, speed, bound, h)
 
 
 def contact_of(
@@ -289,6 +310,15 @@ def bound_of(
         assert share is not None
         rest[j] = torch.where(stays, share, torch.zeros((), dtype=share.dtype))
     return Step(tuple(angles), found.speed, tuple(firsts), tuple(lasts), tuple(rest))
+
+
+def _with_mean_ends(friction: DryFriction, slide: Levels, speed: Values, step: Step, h: float) -> Step:
+    """The step with its mean acceleration at both ends for joints that creep: their friction changes within it."""
+    first, last = list(step.first), list(step.last)
+    for j in friction.joints:
+        creeps, mean = _binds(friction, slide, step, speed, step.speed, j), (step.speed[j] - speed[j]) / h
+        first[j], last[j] = (torch.where(creeps, mean, x) for x in (first[j], last[j]))
+    return step._replace(first=tuple(first), last=tuple(last))
 
 
 def _mean_levels(friction: DryFriction, halfway: Motion, drive: Drive, speeds: Values) -> Levels:

@@ -77,7 +77,7 @@ def in_torch(equations: Equations, given: StepsInput) -> Nodes:
         drive = Drive((begin, middle, end), (t1, t2, t4), loads[i], remembered)
         direction = directions(speed, rest, equations.friction)
         step = step_of(equations, angle, speed, drive, direction, h)
-        rows = turning(speed, step.speed, equations.friction)
+        rows = turning(equations, angle, speed, drive, step)
         if len(rows) == windows or (len(rows) and given.apart):
             # Parameters that differ from log to log have one value per window.
             step = corrected(equations, step, angle, speed, drive, direction, h)

@@ -8,6 +8,7 @@ from itertools import permutations
 import numpy as np
 
 from deepkoco.systems.trees.actuators import load_actuator, read_actuators
+from deepkoco.systems.trees.engine import engine_of
 from deepkoco.systems.trees.held_joints import how_to_hold
 from deepkoco.systems.trees.inertias import SMALL
 from deepkoco.systems.trees.mujoco_library import Model, mujoco_library
@@ -70,6 +71,7 @@ def compile_tree(model: Model, name: str) -> Tree:
         tuple(notes),
         bare,
         _supports(model, poses, last, gravity),
+        engine_of(model),
     )
 
 

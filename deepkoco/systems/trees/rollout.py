@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepkoco.systems.dry_friction import CLOSE, SWEEPS
+from deepkoco.systems.dry_friction import CLOSE, SWEEPS, creep_table
 from deepkoco.systems.effects.learned import TERMS
 from deepkoco.systems.plain import is_plain
 from deepkoco.systems.rollout import EffectLoad, RolloutInput, RolloutResult
@@ -119,7 +119,7 @@ class TreeRollout:
             np.array([(load.joint, load.source) for load in self._loads], np.int64).reshape(-1, 2),
             values.reshape(len(self._loads), MOST_VALUES, groups),
             np.array([force.joint for force in self._forces], np.int64), force_table(pulls, numbers),
-            np.array(given.friction.joints, np.int64),
+            np.array(given.friction.joints, np.int64), creep_table(given.friction.creeps, given.friction.joints),
             steady.reshape(joints, groups), given.step, start, time, sent, begin, slope, loads,
             1 if len(given.friction.joints) == 1 else SWEEPS, CLOSE, value, left, right,
         )  # fmt: skip

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from deepkoco.systems.dry_friction import HUGE
-from deepkoco.systems.dry_friction_loop import rub_element
+from deepkoco.systems.dry_friction_loop import rub_element, slips
 from deepkoco.systems.trees.block_sizes import LANES
 from deepkoco.systems.trees.effect_kernel import MOST_VALUES, is_level
 from deepkoco.systems.trees.mass_matrix_kernel import solve
@@ -21,7 +21,7 @@ from deepkoco.systems.trees.newton_euler_kernel import LOAD, ROWS, SPARE
 from deepkoco.systems.trees.step_kernel import mean_levels, runge_kutta
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "479315bb80faa358"
+COMPILED_WITH = "55de8d6116469e3b"
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -35,6 +35,7 @@ def tree_rollout(
     pulled,  # (K,) joint of each outside force
     pulls,  # (K, 6, G) force in the base's frame [N], then its point in the joint's frame [m]
     rubbing,  # (R,) joints with dry friction
+    creeps,  # (R, 2) inertia and rate of their creep; an inertia of 0 where friction holds
     steady,  # (J, G) levels of dry friction that depend on parameters alone
     step,  # [s]
     start,  # (2 J, N) angles, then speeds
@@ -140,6 +141,33 @@ def tree_rollout(
                     if speed[j, i] * v[j, i] <= 0.0:
                         turned[i] = True
                         some = True
+                if creeps[r, 0] > 0.0:
+                    mean_levels(
+                        tree,
+                        own,
+                        effects,
+                        forces,
+                        own_steady,
+                        angle,
+                        speed,
+                        1.0,
+                        efforts,
+                        scratch,
+                        end,
+                        slide,
+                    )
+                    for i in range(LANES):
+                        if not slips(
+                            speed[j, i],
+                            v[j, i],
+                            first[j, i],
+                            last[j, i],
+                            slide[j, i],
+                            creeps[r, 0],
+                            creeps[r, 1],
+                        ):
+                            turned[i] = True
+                            some = True
             for k in range(joints):
                 for i in range(LANES):
                     held[k, i] = 0.0
@@ -169,8 +197,8 @@ def tree_rollout(
                         for k in range(joints):
                             accelerated[k] = (v[k, i] - speed[k, i]) / step
                         rub_element(
-                            speed, load, moving, resting, inverse, rubbing, accelerated, step, sweeps, close, end,
-                            moved, hold, i,
+                            speed, load, moving, resting, inverse, rubbing, creeps, accelerated, step, sweeps, close,
+                            end, moved, hold, i,
                         )  # fmt: skip
                         for r in range(len(rubbing)):
                             j = rubbing[r]
@@ -191,8 +219,8 @@ def tree_rollout(
                     for k in range(joints):
                         accelerated[k] = (v[k, i] - speed[k, i]) / step
                     rub_element(
-                        speed, load, moving, resting, inverse, rubbing, accelerated, step, sweeps, close, end, moved,
-                        hold, i,
+                        speed, load, moving, resting, inverse, rubbing, creeps, accelerated, step, sweeps, close, end,
+                        moved, hold, i,
                     )  # fmt: skip
                     for k in range(joints):
                         if not is_rubbing[k]:
@@ -206,7 +234,16 @@ def tree_rollout(
                         stays = v[j, i] == 0.0
                         if stays and speed[j, i] == 0.0:
                             q[j, i] = angle[j, i]
-                        if speed[j, i] * v[j, i] <= 0.0:
+                        creep = creeps[r, 0] > 0.0 and not slips(
+                            speed[j, i],
+                            v[j, i],
+                            first[j, i],
+                            last[j, i],
+                            slide[j, i],
+                            creeps[r, 0],
+                            creeps[r, 1],
+                        )
+                        if creep or speed[j, i] * v[j, i] <= 0.0:
                             first[j, i] = last[j, i] = (v[j, i] - speed[j, i]) / step
                         if stays:
                             held[j, i] = -hold[r, i] / stick[j, i] if stick[j, i] > 0.0 else direction[j, i]

@@ -7,6 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from deepkoco.systems.creep import Creep
+
 CLOSE = 1e-14  # entries of rotations that are this close to 0 or 1 are meant to be
 
 Vector = tuple[float, float, float]
@@ -138,6 +140,19 @@ class Actuator:
 
 
 @dataclass(frozen=True)
+class Engine:
+    """What a simulation of a tree by the engine of its file does, and a machine does not.
+
+    Attributes:
+        creeps: How softly dry friction holds each joint.
+        lead: Time before its step at which a command acts [s].
+    """
+
+    creeps: tuple[Creep, ...]
+    lead: float
+
+
+@dataclass(frozen=True)
 class Tree:
     """Joints in an order in which each comes after its parent, and what moves with them.
 
@@ -151,6 +166,7 @@ class Tree:
         notes: Sentences on what the model has and the compiled tree leaves out.
         without_actuators: Whether the model has none, and the actuators are plain loads on the joints.
         supports: Forces that hold bodies up against gravity (gravcomp), at the masses of the model.
+        engine: How the engine of its file simulates it; None without one.
     """
 
     name: str
@@ -162,6 +178,7 @@ class Tree:
     notes: tuple[str, ...] = ()
     without_actuators: bool = False
     supports: tuple[OutsideForce, ...] = ()
+    engine: Engine | None = None
 
 
 def matrix(rotation: np.ndarray) -> Matrix:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
+from copy import copy
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -13,7 +14,7 @@ from torch import Tensor
 
 from deepkoco.systems.drawn import Outline
 from deepkoco.systems.drives import AS_A_LOAD
-from deepkoco.systems.dry_friction import Levels
+from deepkoco.systems.dry_friction import DryFriction, Levels
 from deepkoco.systems.effects.effect import Effect
 from deepkoco.systems.extended import MemoryEffectError
 from deepkoco.systems.motion import (
@@ -57,8 +58,13 @@ from deepkoco.systems.trees.scalars import Triple, mul, total
 from deepkoco.systems.trees.scales import command_range, delivered, load_scales, motion_loads
 from deepkoco.systems.trees.settings import TreeSettings
 from deepkoco.systems.trees.stiffness import least_inertias, longest_step, refuse_redundant
-from deepkoco.systems.trees.tree import Tree, TreeError
+from deepkoco.systems.trees.tree import Engine, Tree, TreeError
 from deepkoco.systems.trees.visible import visible_parameters
+
+AS_ENGINE = (
+    "simulated as MuJoCo does it, where dry friction creeps and commands act half a step early: the logs fit that "
+    "better than a machine whose friction holds"
+)
 
 
 class TreeSystem(System):
@@ -115,6 +121,7 @@ class TreeSystem(System):
         self.tip = settings.tip(self.payload_sites, tip_place(tree))
         self._view = choose_view(tree)
         self._arrays = TreeArrays(tree)
+        self._engine: Engine | None = None
         declared = visible_parameters(self, tree, declared_parameters(tree, least))
         self.parameters = settings.parameters(declared, geometry_parameters(tree))
 
@@ -200,7 +207,9 @@ class TreeSystem(System):
     def command_timing(self, index: int, parameters: Parameters) -> CommandTiming:
         actuator = self.tree.actuators[index]
         lags = (time_constant(actuator, parameters),) if actuator.time_constant > 0.0 else ()
-        return CommandTiming(control_delay(actuator, parameters), lags, torch.zeros((), dtype=torch.float64))
+        lead = 0.0 if self._engine is None else self._engine.lead
+        delay = control_delay(actuator, parameters) - lead
+        return CommandTiming(delay, lags, torch.zeros((), dtype=torch.float64))
 
     def timing(self, parameters: Parameters) -> Timing:
         zero = torch.zeros((), dtype=torch.float64)
@@ -230,6 +239,20 @@ class TreeSystem(System):
             torch.as_tensor(limit, dtype=torch.float64) if isinstance(limit, Tensor) or limit != 0.0 else None
             for limit in (joint_value(parameters, "frictionloss", joint) for joint in self.tree.joints)
         )
+
+    def dry_friction_levels(self, parameters: Parameters) -> DryFriction:
+        friction = super().dry_friction_levels(parameters)
+        return friction if self._engine is None else replace(friction, creeps=self._engine.creeps)
+
+    engine = property(lambda self: None if self._engine is None else "MuJoCo")
+
+    def with_engine(self) -> TreeSystem | None:
+        if self._engine is not None or self.tree.engine is None:
+            return None
+        simulated = copy(self)
+        simulated._engine = self.tree.engine
+        simulated.notes = (*self.notes, AS_ENGINE)
+        return simulated
 
     def accelerations(self, parameters: Parameters) -> Acceleration:
         return self._law(Numbers.of(self.tree, parameters))

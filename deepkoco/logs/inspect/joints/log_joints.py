@@ -171,7 +171,12 @@ def loose_efforts(columns: Sequence[ColumnSurvey], joints: Sequence[LogJoint]) -
 
 def role_of(column: ColumnSurvey) -> tuple[str | None, str]:
     """What a column measures or commands, None if its name does not say it; and the name of the joint."""
-    name, label = column.name, ""
+    return role_in_name(column.name, column.topic)
+
+
+def role_in_name(name: str, topic: str = "") -> tuple[str | None, str]:
+    """As :func:`role_of`, of a name in a table that is called ``topic``."""
+    label = ""
     bracket = re.fullmatch(r"(.*)\[([^\[\]]*)\]", name)
     if bracket is not None and read_name(name).unit is None:
         name, label = bracket.group(1), bracket.group(2)
@@ -183,8 +188,8 @@ def role_of(column: ColumnSurvey) -> tuple[str | None, str]:
         while len(inner) > 1 and inner[-1] in POSITION | SPEED | EFFORT:
             words.append(inner.pop())
     said = set(words)
-    topic = set(_words(column.topic))
-    goal = bool(said & GOAL) or (bool(topic & GOAL) and not said & MEASURED and not topic & MEASURED)
+    around = set(_words(topic))
+    goal = bool(said & GOAL) or (bool(around & GOAL) and not said & MEASURED and not around & MEASURED)
     if said & SPEED:
         role = "goal speed" if goal else "speed"
     elif said & EFFORT:

@@ -15,7 +15,15 @@ from deepkoco.logs.inspect.evidence import POSITIONS, SPEEDS
 from deepkoco.logs.inspect.joints.finding import JointFinding, from_ranges
 from deepkoco.logs.inspect.joints.goals import Tracking, track
 from deepkoco.logs.inspect.joints.gravity import JointEvidence
-from deepkoco.logs.inspect.joints.log_joints import LogJoint, log_joints, loose_efforts, loose_goals
+from deepkoco.logs.inspect.joints.log_joints import (
+    GOALS,
+    LogJoint,
+    log_joints,
+    loose_efforts,
+    loose_goals,
+    role_in_name,
+    role_of,
+)
 from deepkoco.logs.inspect.joints.match import Match, match_joints
 from deepkoco.logs.inspect.joints.proposed_joint import (
     ProposedJoint,
@@ -55,7 +63,7 @@ def propose_joints(surveys: Sequence[Survey], system: System) -> Proposal:
     passive = system.joints - len(set(system.actuator_joints) & set(range(system.joints)))
     found = log_joints(survey.columns, system.joint_names, system.state_units[: system.joints], passive)
     matches = match_joints([joint.label for joint in found], system.joint_names, _apart(found, system))
-    _add_loose_goals(survey, found)
+    _add_loose_goals(survey, found, system)
     joints = _scaled(surveys, system, found, matches)
     evidence = gravity_evidence(surveys, system, joints)
     findings = {joint.number: _finding(survey, system, joint, evidence) for joint in joints}
@@ -90,9 +98,10 @@ def _apart(found: Sequence[LogJoint], system: System) -> list[tuple[int, int]]:
     ]
 
 
-def _add_loose_goals(survey: Survey, joints: list[LogJoint]) -> None:
-    """Give goals without names of joints, such as `data[0]`, to the joints that follow them."""
-    loose = loose_goals(survey.columns, joints)
+def _add_loose_goals(survey: Survey, joints: list[LogJoint], system: System) -> None:
+    """Give goals without names of joints or of actuators, such as `data[0]`, to the joints that follow them."""
+    actuators = {role_in_name(channel.name)[1] for channel in system.commands}
+    loose = [goal for goal in loose_goals(survey.columns, joints) if role_of(goal)[1] not in actuators]
     free = [joint for joint in joints if "goal" not in joint.columns]
     for goal in loose:
         relations = {joint.label: _track(survey, joint.columns["position"], goal) for joint in free}
@@ -280,6 +289,8 @@ def _command(
 def _by_name(survey: Survey, choice: Choice, shown: set[str]) -> Choice:
     """A command without a column, with the one that has its name: that of the actuator, alone or behind `cmd_`.
 
+    Else the one of which all words but those for a goal are the actuator's: ``drive_cmd``, ``m_elbow_setpoint``.
+
     Args:
         survey: Of the log.
         choice: For the command.
@@ -288,19 +299,17 @@ def _by_name(survey: Survey, choice: Choice, shown: set[str]) -> Choice:
     if choice.column is not None:
         return choice
     names = {name.lower() for name in wanted_names(choice.channel.name, "command")}
-    for column in survey.columns:
-        plain = re.sub(r"\s*[\[(][^\[\]()]*[\])]\s*$", "", column.name).strip().lower()
-        if column.usable and plain in names and column.label not in shown:
-            unit = column.hints.unit
-            return Choice(
-                choice.channel,
-                column,
-                unit or choice.channel.unit,
-                unit is not None,
-                NAMED,
-                ("the same name",),
-            )
-    return choice
+    free = [column for column in survey.columns if column.usable and column.label not in shown]
+    exact = [c for c in free if re.sub(r"\s*[\[(][^\[\]()]*[\])]\s*$", "", c.name).strip().lower() in names]
+    _, own = role_in_name(choice.channel.name)
+    asked = [c for c in free if role_of(c) in {(goal, own) for goal in GOALS.values()}]
+    if not exact and (not own or len(asked) != 1):
+        return choice
+    column = (exact or asked)[0]
+    unit = column.hints.unit
+    return Choice(
+        choice.channel, column, unit or choice.channel.unit, unit is not None, NAMED, ("the same name",)
+    )
 
 
 def _with_loose_efforts(

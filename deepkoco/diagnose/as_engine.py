@@ -1,0 +1,59 @@
+"""Whether logs are of a machine, or of a simulation by the engine of its model file.
+
+A joint of a real robot sticks, and commands act when they arrive. In MuJoCo a joint under load creeps below its
+``frictionloss``, and commands act half a step early: a good encoder shows both. There a log of a healthy simulated
+robot has a friction and a delay that no machine has, and which the catalogue would name. The logs decide: a simulation
+is that of the engine where a refit with it leaves less.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+
+import numpy as np
+
+from deepkoco.diagnose.baseline import baseline_from, on_half_windows
+from deepkoco.fit.data.windows import cut_windows, estimate_channels, moving, window_length
+from deepkoco.fit.solve.scaled_inverse import DivergedError
+from deepkoco.logs.recording import Recording
+from deepkoco.systems import System
+
+SOME = 16  # windows that decide
+# Fall of the cost, in noise variances that the engine leaves, from which it counts. Logs without rest and with much
+# noise leave both alike.
+MARGIN = 10.0
+
+log = logging.getLogger(__name__)
+
+
+def as_engine_if_shown(
+    recordings: Sequence[Recording], system: System, length: float | None = None
+) -> System:
+    """Return the system as the engine of its file simulates it, where that follows the logs better; else itself.
+
+    Args:
+        recordings: Logs.
+        system: The system.
+        length: Of the windows [s]; None for that of the system.
+    """
+    simulated = system.with_engine()
+    if simulated is None:
+        return system
+    length = window_length(system) if length is None else length
+    windows = cut_windows(recordings, system, length, estimate_channels(recordings, system))
+    windows = windows.take(moving(windows)) if len(windows) else windows
+    if len(windows) == 0:
+        return system
+    windows = windows.take(np.unique(np.linspace(0, len(windows) - 1, SOME).astype(int)))
+    costs, left = [], 1.0
+    for law in (system, simulated):
+        start = baseline_from(law, windows)
+        try:
+            fit = on_half_windows(start, windows, start.prior.names)
+        except DivergedError:
+            return system
+        costs.append(fit.cost)
+        left = max(fit.chi2 / max(windows.samples, 1), 1.0)
+    log.debug("%s: costs %.1f as a machine, %.1f as in %s", system.name, *costs, simulated.engine)
+    return simulated if costs[0] - costs[1] > MARGIN * left else system

@@ -1,0 +1,56 @@
+"""How MuJoCo simulates a tree: how softly dry friction holds its joints, and when commands act within its steps.
+
+Its semi-implicit steps v' = v + h a(q, v, u), q' = q + h v' are q(t + h) - 2 q(t) + q(t - h) = h^2 a: a command that is
+held from t to t + h acts on the motion from t - h / 2 to t + h / 2. Half a step at 2 rad/s is 2 mrad with the default
+step of 2 ms, which a good encoder shows. Steps of Runge-Kutta have no such lead.
+"""
+
+from __future__ import annotations
+
+from deepkoco.systems.creep import Creep
+from deepkoco.systems.trees.mujoco_library import Model, mujoco_library
+from deepkoco.systems.trees.tree import Engine
+
+LEAST_IMPEDANCE, MOST_IMPEDANCE = 1e-4, 0.9999  # mjMINIMP, mjMAXIMP
+
+
+def engine_of(model: Model) -> Engine | None:
+    """How MuJoCo simulates a model of hinges and slides; None where it has no step or a friction without a rate.
+
+    Args:
+        model: Compiled model.
+    """
+    creeps = [friction_creep(model, int(model.jnt_dofadr[j])) for j in range(model.njnt)]
+    step = float(model.opt.timestep)
+    if not step > 0.0 or any(creep is None for creep in creeps):
+        return None
+    exact = model.opt.integrator == mujoco_library().mjtIntegrator.mjINT_RK4
+    return Engine(tuple(creep for creep in creeps if creep is not None), 0.0 if exact else 0.5 * step)
+
+
+def friction_creep(model: Model, dof: int) -> Creep | None:
+    """The soft constraint of a degree of freedom, from ``solreffriction`` and ``solimpfriction``.
+
+    The violation of a friction constraint is always 0, so its impedance is the first of the five numbers, and its
+    reference acceleration is -b v.
+
+    Args:
+        model: Compiled model.
+        dof: Index of the degree of freedom.
+
+    Returns:
+        The constraint; None where it has no rate.
+
+    Source: MuJoCo documentation, Modeling, "Solver parameters": solimp, solref, and diagApprox of the regulariser R.
+    """
+    time_constant, damping = (float(x) for x in model.dof_solref[dof])
+    least, most = (min(max(float(x), LEAST_IMPEDANCE), MOST_IMPEDANCE) for x in model.dof_solimp[dof, :2])
+    impedance = least if least != most and float(model.dof_solimp[dof, 2]) > 0.0 else 0.5 * (least + most)
+    if time_constant > 0.0:
+        safe = not model.opt.disableflags & mujoco_library().mjtDisableBit.mjDSBL_REFSAFE
+        rate = 2.0 / (most * (max(time_constant, 2.0 * float(model.opt.timestep)) if safe else time_constant))
+    else:
+        rate = -damping / most
+    if not rate > 0.0:
+        return None
+    return Creep(impedance / ((1.0 - impedance) * float(model.dof_invweight0[dof])), rate)

@@ -1,0 +1,90 @@
+"""Which kind of dry friction logs show: one that holds joints at rest, or MuJoCo's, which lets them creep."""
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+from deepkoco.diagnose import diagnose
+from deepkoco.diagnose.as_engine import as_engine_if_shown
+from deepkoco.logs.recording import Recording, Series
+from deepkoco.systems import load_system
+from deepkoco.systems.stick_slip import Joints, StickSlip
+
+SLIDER = """
+<mujoco model="slider"><option timestep="0.001"/>
+<worldbody><body><joint name="rail" type="slide" axis="1 0 0" damping="{damping}" frictionloss="{friction}"/>
+  <geom type="box" size="0.1 0.1 0.1" mass="2"/></body></worldbody>
+<actuator><motor name="push" joint="rail"/></actuator></mujoco>
+"""
+H, NOISE = 0.01, 1e-4
+
+
+@pytest.fixture(scope="module")
+def slider(tmp_path_factory):
+    path = tmp_path_factory.mktemp("robot") / "slider.xml"
+    path.write_text(SLIDER.format(damping=4.0, friction=3.0))
+    return load_system(path)
+
+
+def efforts(seconds=10.0):
+    t = np.arange(0.0, seconds, H)
+    return t, 3.5 * np.sin(2.0 * np.pi * 0.4 * t) + 1.5 * np.sin(2.0 * np.pi * 0.97 * t)
+
+
+def recorded(t, effort, place, seed=0):
+    noise = NOISE * np.random.default_rng(seed).standard_normal(len(t))
+    return Recording(
+        {
+            "push": Series(t, effort, "1", "command"),
+            "q_rail": Series(t, place + noise, "m", "measurement"),
+        }
+    )
+
+
+def from_mujoco(damping=4.0, friction=3.0):
+    model = mujoco.MjModel.from_xml_string(SLIDER.format(damping=damping, friction=friction))
+    data, place = mujoco.MjData(model), []
+    t, effort = efforts()
+    for u in effort:
+        place.append(float(data.qpos[0]))
+        for _ in range(round(H / model.opt.timestep)):
+            data.ctrl[:] = u
+            mujoco.mj_step(model, data)
+    return recorded(t, effort, np.array(place))
+
+
+def from_a_joint_that_sticks(system):
+    law, one = StickSlip(system, system.default_parameters()), torch.zeros(1, dtype=torch.float64)
+    joints, place = Joints((one,), (one,), (one,), ()), []
+    t, effort = efforts()
+    for u in effort:
+        place.append(float(joints.angles[0]))
+        for _ in range(5):
+            joints = law.tick(joints, (torch.full((1,), u, dtype=torch.float64),), H / 5)
+    return recorded(t, effort, np.array(place))
+
+
+def test_logs_decide_between_friction_that_holds_and_friction_that_creeps(slider):
+    assert as_engine_if_shown([from_mujoco()], slider).engine == "MuJoCo"
+    assert as_engine_if_shown([from_a_joint_that_sticks(slider)], slider).engine is None
+
+
+def test_a_robot_without_dry_friction_and_with_exact_steps_is_a_machine(tmp_path):
+    path = tmp_path / "free.xml"
+    path.write_text(SLIDER.replace("timestep", 'integrator="RK4" timestep').format(damping=4.0, friction=0.0))
+    free = load_system(path)
+    assert as_engine_if_shown([from_mujoco(friction=0.0)], free) is free
+
+
+@pytest.mark.study
+def test_a_healthy_log_of_a_simulated_robot_lacks_nothing(slider):
+    assert diagnose([from_mujoco()], slider).verdict == "nothing"
+
+
+@pytest.mark.study
+def test_more_friction_of_a_simulated_robot_is_named(slider):
+    found = diagnose([from_mujoco(friction=4.5)], slider)
+    assert found.verdict == "cause"
+    names = {name for cause in found.causes for name in (cause.name, *cause.indistinguishable)}
+    assert names & {"coulomb", "changed(frictionloss(rail))", "coulomb(rail)"}

@@ -1,0 +1,159 @@
+"""Dry friction that creeps: against its equation of motion, against friction that holds, and against MuJoCo."""
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+
+from deepkoco.fit.simulate.step import equations_of
+from deepkoco.fit.simulate.torch_steps import StepsInput, in_torch
+from deepkoco.systems import ExtendedSystem, load_model, load_system, save_model
+from deepkoco.systems.creep import Creep, slide_and_creep
+from deepkoco.systems.dry_friction import rubbed, slide_and_rest
+from deepkoco.systems.rollout import RolloutInput
+
+HEAD = """
+<mujoco model="head"><compiler angle="radian"/><option timestep="5e-5"/>
+<worldbody><body><joint name="pan" axis="0 0 1" damping="0.1" frictionloss="0.12" armature="0.01"/>
+  <geom type="box" size="0.05 0.04 0.06" mass="0.6"/>
+  <body pos="0 0 0.1"><joint name="tilt" axis="0 1 0" damping="0.08" frictionloss="0.1" armature="0.008"/>
+    <geom type="box" size="0.06 0.03 0.03" pos="0.04 0 0.02" mass="0.5"/></body></body></worldbody>
+<actuator><motor name="m_pan" joint="pan"/><motor name="m_tilt" joint="tilt"/></actuator></mujoco>
+"""
+QUICK = settings(deadline=None, max_examples=25)
+speeds, pulls = st.floats(-2.0, 2.0), st.floats(-30.0, 30.0)
+
+
+def number(x):
+    return torch.tensor(float(x), dtype=torch.float64)
+
+
+def stepped(speed, free, level, own, creep, h):
+    return tuple(float(x) for x in slide_and_creep(*map(number, (speed, free, level, own)), creep, h))
+
+
+@QUICK
+@given(
+    speeds, pulls, st.floats(0.01, 1.0), st.floats(5.0, 100.0), st.floats(0.02, 2.0), st.floats(20.0, 200.0)
+)
+def test_a_step_is_the_motion_under_the_soft_constraint(speed, free, level, own, inertia, rate):
+    def acceleration(v):
+        # f = -clip(D (v' + b v), -F, F) with v' = free + W f: solved for f without the closed form
+        left = lambda f: f + np.clip(inertia * (free + own * f + rate * v), -level, level)  # noqa: E731
+        return free + own * brentq(left, -2.0 * level, 2.0 * level, xtol=1e-14)
+
+    h = 0.02
+    exact = solve_ivp(lambda _, y: [y[1], acceleration(y[1])], (0, h), [0.0, speed], rtol=1e-9, atol=1e-11)
+    after, way = stepped(speed, free, level, own, Creep(inertia, rate), h)
+    assert after == pytest.approx(exact.y[1, -1], abs=2e-6)
+    assert way == pytest.approx(exact.y[0, -1], abs=2e-8)
+
+
+@QUICK
+@given(speeds, pulls, st.floats(0.01, 1.0))
+def test_a_stiff_constraint_holds_as_friction_at_rest_does(speed, free, level):
+    own, h = 10.0, 0.02
+    rigid = slide_and_rest(number(speed), number(free), number(own * level), number(own * level), h)
+    after, way = stepped(speed, free, level, own, Creep(1e6, 1e6), h)
+    assert after == pytest.approx(float(rigid[0]), abs=1e-4)
+    assert way == pytest.approx(float(rigid[1]), abs=1e-5)
+
+
+def test_a_joint_below_its_level_creeps_at_load_over_d_times_b():
+    load, own, creep = 0.1, 80.0, Creep(0.11, 105.0)
+    after, way = stepped(load / (0.11 * 105.0), own * load, 0.12, own, creep, 0.05)
+    assert after == pytest.approx(load / (0.11 * 105.0))
+    assert way == pytest.approx(0.05 * load / (0.11 * 105.0))
+
+
+@QUICK
+@given(st.integers(0, 10_000), st.integers(1, 4))
+def test_the_compiled_loop_agrees_with_torch(seed, joints):
+    rng = np.random.default_rng(seed)
+    root = rng.standard_normal((joints, joints))
+    inverse = root @ root.T + 3.0 * np.eye(joints)
+    before, free, levels = (
+        rng.standard_normal(joints),
+        5.0 * rng.standard_normal(joints),
+        rng.uniform(0.1, 1.0, joints),
+    )
+    creeps = tuple(
+        Creep(d, b) for d, b in zip(rng.uniform(0.5, 3.0, joints), rng.uniform(20, 150, joints), strict=True)
+    )
+
+    def tensors(values, grad=False):
+        return tuple(number(v).requires_grad_(grad) for v in values)
+
+    level, zero, h = tensors(levels), tensors(np.zeros(joints)), 0.01
+    rows = tuple(tensors(row) for row in inverse)
+    found, wanted = (
+        rubbed(tensors(before, grad), tensors(before + h * free), zero, level, level, rows, h, creeps)
+        for grad in (False, True)
+    )
+    for a, b in zip((*found.speed, *found.moved), (*wanted.speed, *wanted.moved), strict=True):
+        assert float(a) == pytest.approx(float(b.detach()), abs=1e-6)
+    # Nothing in it depends on the order of the joints' own equations: the loads balance each joint's constraint.
+    assert all(abs(float(f)) <= F + 1e-9 for f, F in zip(found.load, levels, strict=True))
+
+
+@pytest.fixture(scope="module")
+def head(tmp_path_factory):
+    path = tmp_path_factory.mktemp("robot") / "head.xml"
+    path.write_text(HEAD)
+    return load_system(path)
+
+
+def in_mujoco(efforts, h):
+    model = mujoco.MjModel.from_xml_string(HEAD)
+    data, path = mujoco.MjData(model), []
+    for effort in efforts:
+        for _ in range(round(h / model.opt.timestep)):
+            data.ctrl[:] = effort
+            mujoco.mj_step(model, data)
+        path.append(data.qpos.copy())
+    return np.array(path)
+
+
+def in_ours(system, efforts, h, compiled):
+    start = (torch.zeros(1, 1, dtype=torch.float64),) * 4
+    begin = [torch.from_numpy(efforts[:, k].copy()).view(-1, 1, 1) for k in range(2)]
+    slope = [torch.zeros_like(x) for x in begin]
+    p = system.default_parameters()
+    if compiled:
+        given = RolloutInput(h, start, start[0], begin, slope, None, system.dry_friction_levels(p))
+        nodes = system.rollout(p).run(given)
+    else:
+        nodes = in_torch(equations_of(system, p, None), StepsInput(h, start, start[0], begin, slope, None))
+    return np.stack([nodes.value[k][1:, 0, 0].numpy() for k in range(2)], 1)
+
+
+def test_a_tree_creeps_as_in_mujoco(head):
+    rng, h = np.random.default_rng(1), 0.005
+    efforts = np.repeat(rng.uniform(-0.2, 0.2, (10, 2)), 20, axis=0)  # mostly near the level of the friction
+    truth, creeping = in_mujoco(efforts, h), head.with_engine()
+    error = np.abs(in_ours(creeping, efforts, h, compiled=True) - truth).max()
+    assert error < 1e-3 * np.abs(truth).max()
+    assert np.abs(in_ours(head, efforts, h, compiled=True) - truth).max() > 20.0 * error
+
+
+def test_steps_in_torch_creep_as_the_compiled_ones(head):
+    efforts = np.repeat(np.random.default_rng(2).uniform(-0.2, 0.2, (8, 2)), 10, axis=0)
+    extended = ExtendedSystem(
+        head.with_engine(), ("coulomb(pan)", "stribeck(tilt)"), {"coulomb(pan).torque": 0.05}
+    )
+    for system in (head.with_engine(), extended):
+        ours = [in_ours(system, efforts, 0.01, compiled) for compiled in (True, False)]
+        np.testing.assert_allclose(ours[0], ours[1], atol=1e-9)
+
+
+def test_a_model_file_keeps_the_kind_of_friction(head, tmp_path):
+    extended = ExtendedSystem(head, ("coulomb(pan)",), {"coulomb(pan).torque": 0.05})
+    for system, name in ((extended, "holds.yaml"), (extended.with_engine(), "creeps.yaml")):
+        save_model(tmp_path / name, system)
+        read = load_model(tmp_path / name)
+        assert read.engine == system.engine
+        assert read.parameter("coulomb(pan).torque").value == 0.05
