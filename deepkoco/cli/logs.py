@@ -35,13 +35,12 @@ def read_logs(
     episodes = getattr(args, "episodes", None)
     if system is None and args.system is not None:
         system = named_system(args.system)
-    recordings: list[Recording] = []
-    for path in found_recordings(paths, episodes):
-        if system is None:
-            system = _system_of(path, args)
-        recordings += logs_of(path, system, mapping=args.map, episodes=episodes, fill=args.fill)
-    assert system is not None or not paths
-    return system, recordings  # type: ignore[return-value]
+    found = found_recordings(paths, episodes)
+    if system is None and found:
+        system = _system_of(found[0], args)
+    if system is None:
+        return system, []  # type: ignore[return-value]
+    return system, logs_of(found, system, mapping=args.map, episodes=episodes, fill=args.fill)
 
 
 def _system_of(path: Path, args: argparse.Namespace) -> System:

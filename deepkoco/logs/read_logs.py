@@ -13,6 +13,7 @@ from deepkoco.logs.formats.recordings import recordings
 from deepkoco.logs.part import split_part
 from deepkoco.logs.recording import Recording, read_log
 from deepkoco.logs.runs import MARK, RestartError
+from deepkoco.logs.sidecar import NoSidecarError, find_sidecar
 
 if TYPE_CHECKING:
     from deepkoco.systems import System
@@ -32,7 +33,8 @@ def read_logs(
     """Read logs of one system.
 
     A folder stands for all logs in it, a LeRobot dataset for its episodes, and a log whose clock begins again for its
-    runs.
+    runs. A log without a sidecar is mapped by its names and values where these leave no doubt; a warning of the
+    recording says how.
 
     Args:
         logs: recordings, which are taken as they are, and paths of files and folders.
@@ -53,7 +55,7 @@ def read_logs(
     found = any_system(system)
     channels = [(c.name, c.unit, c.kind) for c in (*found.commands, *found.measurements)]
 
-    def read(path: Path) -> Recording:
+    def read_with(path: Path, mapping: Mapping[str, Any] | str | Path | None) -> Recording:
         return read_log(
             path,
             mapping,
@@ -64,14 +66,44 @@ def read_logs(
             defaults=found.free_commands,
         )
 
+    paths = [log if isinstance(log, Recording) else recordings([log], episodes) for log in given]
+    listed = [path for log in paths if not isinstance(log, Recording) for path in log]
+
+    def read(path: Path) -> Recording:
+        try:
+            return read_with(path, mapping)
+        except NoSidecarError as error:
+            if mapping is not None:
+                raise
+            proposed, said = _proposed(path, listed, found, error)
+            read = read_with(path, proposed)
+            return replace(read, warnings=(said, *read.warnings))
+
     result: list[Recording] = []
-    for log in given:
+    for log in paths:
         if isinstance(log, Recording):
             result.append(log)
         else:
-            for path in recordings([log], episodes):
+            for path in log:
                 result += read_runs(path, read, episodes)
     return result
+
+
+def _proposed(
+    path: Path, listed: Sequence[Path], system: System, error: NoSidecarError
+) -> tuple[dict[str, Any], str]:
+    """Mapping of a log without a sidecar, and the sentence about it.
+
+    Raises:
+        NoSidecarError: It is not sure.
+    """
+    from deepkoco.logs.inspect.sure_mapping import sure_mapping
+
+    try:
+        return sure_mapping(path, [other for other in listed if find_sidecar(other) is None], system)
+    except LogError as doubt:
+        why = str(doubt).removeprefix(f"{error.log}: ")
+        raise NoSidecarError(error.log, error.file, why) from doubt
 
 
 def read_runs(

@@ -20,6 +20,7 @@ __all__ = [
     "ChannelColumn",
     "Column",
     "LogError",
+    "NoSidecarError",
     "Sidecar",
     "dump_sidecar",
     "load_sidecar",
@@ -37,6 +38,18 @@ channels:
 
 ISO = "iso8601"
 """Unit of a time column that contains dates like 2024-05-01T12:00:00.125."""
+
+
+class NoSidecarError(LogError):
+    """A log has no sidecar, and its columns are not called as the channels are."""
+
+    def __init__(self, log: Path, file: Path, why: str | None = None) -> None:
+        self.log, self.file = log, file
+        doubt = "" if why is None else f" ({why})"
+        super().__init__(
+            f"{log}: no sidecar {file} maps its columns to channels{doubt}; write one with deepkoco inspect {log} "
+            f"--system SYSTEM --out {file}, or pass a mapping:{EXAMPLE}"
+        )
 
 
 @dataclass(frozen=True)
@@ -124,10 +137,7 @@ def load_sidecar(log: Path, mapping: Mapping[str, Any] | str | Path | None = Non
         file = (find_sidecar(log) or sidecar_path(log)) if mapping is None else Path(mapping)
         source = str(file)
         if not file.is_file():
-            raise LogError(
-                f"{log}: no sidecar {file} maps its columns to channels; write one with deepkoco inspect {log} "
-                f"--system SYSTEM --out {file}, or pass a mapping:{EXAMPLE}"
-            )
+            raise NoSidecarError(log, file)
         try:
             content = read_yaml(file)
         except YamlFileError as error:

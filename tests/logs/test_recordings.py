@@ -15,6 +15,7 @@ from deepkoco.excitation.record import record
 from deepkoco.logs import LogError, read_log, read_logs, write_log
 from deepkoco.logs.formats import open_log
 from deepkoco.logs.formats.recordings import recordings
+from deepkoco.systems import load_system
 from deepkoco.unit import make_unit
 
 SYSTEM = "torque_pendulum"
@@ -243,3 +244,41 @@ def test_episodes_that_are_no_list_are_refused(folder, text, capsys):
     with pytest.raises(SystemExit):
         main(["identify", str(folder), "--system", SYSTEM, f"--episodes={text}"])
     assert "episode" in capsys.readouterr().err
+
+
+PENDULUM = """
+<mujoco model="swing"><worldbody><body><joint name="pivot" axis="0 1 0"/>
+  <geom type="capsule" size=".02" fromto="0 0 0 0 0 -.5" mass="1"/></body></worldbody>
+<actuator><motor name="drive" joint="pivot"/></actuator></mujoco>
+"""
+
+
+def swinging(folder, **columns):
+    t = np.arange(0.0, 3.0, 0.01)
+    values = {"time_s": t, "pivot_angle_deg": 40.0 * np.sin(3.0 * t), "drive_cmd": np.cos(2.0 * t)}
+    frame = pd.DataFrame(values | {name: np.sin(f * t) for name, f in columns.items()})
+    frame.to_csv(folder / "log.csv", index=False)
+    (folder / "swing.xml").write_text(PENDULUM)
+    return folder / "log.csv", load_system(folder / "swing.xml")
+
+
+def test_a_log_without_a_sidecar_is_read_where_its_names_leave_no_doubt(tmp_path):
+    log, system = swinging(tmp_path)
+    (recording,) = read_logs([log], system)
+    np.testing.assert_allclose(recording.channels["q_pivot"].value.max(), np.deg2rad(40.0), rtol=1e-3)
+    assert set(recording.channels) == {"q_pivot", "drive"}
+    assert recording.warnings[0].startswith(
+        "no sidecar: q_pivot = pivot_angle_deg [deg], drive = drive_cmd [N m]"
+    )
+    assert "deepkoco inspect" in recording.warnings[0]
+
+
+def test_a_log_whose_command_is_not_sure_needs_a_sidecar(tmp_path):
+    log, system = swinging(tmp_path)
+    pd.read_csv(log).rename(columns={"drive_cmd": "a"}).assign(b=1.0).to_csv(log, index=False)
+    with pytest.raises(
+        LogError, match=r"no sidecar .*\(no column .*drive.*\); write one with deepkoco inspect"
+    ):
+        read_logs([log], system)
+    with pytest.raises(LogError, match=r"no sidecar .*other.yaml"):
+        read_logs([log], system, mapping=tmp_path / "other.yaml")

@@ -108,5 +108,5 @@ def log_cauchy_normal(
     exponent = -0.5 * precision[..., None] * (x - centre[..., None]) ** 2 + log_density
     top = exponent.max(-1, keepdims=True)
     total = (np.exp(exponent - top) * WEIGHTS * half).sum(-1)
-    share = (np.arctan(high) - np.arctan(low)) / np.pi
+    share = np.maximum((np.arctan(high) - np.arctan(low)) / np.pi, 1e-300)
     return np.log(np.maximum(total, 1e-300)) + top[..., 0] - np.log(share)
