@@ -282,3 +282,10 @@ def test_a_log_whose_command_is_not_sure_needs_a_sidecar(tmp_path):
         read_logs([log], system)
     with pytest.raises(LogError, match=r"no sidecar .*other.yaml"):
         read_logs([log], system, mapping=tmp_path / "other.yaml")
+
+
+def test_a_unit_that_only_the_values_tell_needs_a_sidecar(tmp_path):
+    log, system = swinging(tmp_path)
+    pd.read_csv(log).rename(columns={"pivot_angle_deg": "pivot_angle"}).to_csv(log, index=False)
+    with pytest.raises(LogError, match=r"no name says that pivot_angle is in deg"):
+        read_logs([log], system)

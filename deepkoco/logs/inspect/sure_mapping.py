@@ -63,6 +63,8 @@ def _doubt(fitting: Fitting) -> str | None:
         if column is not None and choice.sureness != "sure":
             rival = "" if choice.rival is None else f", or {choice.rival}"
             return f"{name} is {choice.sureness}: {column.label}{rival}"
+        if column is not None and not choice.stated and choice.unit != choice.channel.unit:
+            return f"no name says that {column.label} is in {choice.unit}"
     return fitting.doubt
 
 
