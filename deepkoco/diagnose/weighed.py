@@ -35,6 +35,7 @@ from deepkoco.diagnose.explanation import (
 from deepkoco.diagnose.healthy import extended
 from deepkoco.diagnose.little_of_all import usual_sizes, with_little, with_little_of_all
 from deepkoco.diagnose.nothing_at_once import Weights, are_weighed, nothing_at_once, weights_before
+from deepkoco.diagnose.one_change import one_change
 from deepkoco.diagnose.probability.answer import Answer
 from deepkoco.diagnose.probability.shadow import answer_of, log_prior_of_losses
 from deepkoco.diagnose.request import DiagnosisRequest
@@ -72,7 +73,8 @@ def explained(
         nothing = nothing_at_once(request, at, weights, unfitted, joined)
         if nothing is not None:
             return _nothing(with_little_of_all(request, nothing, request.causes))
-    return weigh(request, explain(request, learned, unfitted, joined, at), more, weights)
+    explanation = weigh(request, explain(request, learned, unfitted, joined, at), more, weights)
+    return _with_one_change(request, explanation, more)
 
 
 def weigh(
@@ -124,6 +126,20 @@ def weigh(
     if not plausible:
         return _nothing(with_little_of_all(request, explanation, causes))
     return _selected_again(request, explanation, plausible, more)
+
+
+def _with_one_change(request: DiagnosisRequest, explanation: Explanation, more: int) -> Explanation:
+    """Return the explanation by one changed parameter of a model file, where that is what a refit spread over many."""
+    base, found = explanation.base, explanation.found
+    left = found.final.chi2 > base.start.most_noise(base.train) * base.train.samples
+    if found.accepted or found.lost is not None or left:
+        return explanation
+    single = one_change(base, base.reference)
+    if not single or not request.limit.allows("one changed parameter"):
+        return explanation
+    request.progress(f"one changed parameter: {max(single, key=lambda n: single[n])}")
+    again = _selected_again(request, explanation, request.causes, more)
+    return again if again.found.accepted else explanation
 
 
 def detection_of(request: DiagnosisRequest, explanation: Explanation) -> float:

@@ -2,15 +2,23 @@
 
 Its semi-implicit steps v' = v + h a(q, v, u), q' = q + h v' are q(t + h) - 2 q(t) + q(t - h) = h^2 a: a command that is
 held from t to t + h acts on the motion from t - h / 2 to t + h / 2. Half a step at 2 rad/s is 2 mrad with the default
-step of 2 ms, which a good encoder shows. Steps of Runge-Kutta have no such lead.
+step of 2 ms, which a good encoder shows. The speed in a(q, v, u) is that of t - h / 2, and that of t + h / 2 for a
+damping that is integrated implicitly. A damping D that acts early by h / 2 is -D (q' + q'' h / 2): an armature of
+D h / 2. Steps of Runge-Kutta have none of this.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 from deepkoco.systems.creep import Creep
 from deepkoco.systems.trees.mujoco_library import Model, mujoco_library
-from deepkoco.systems.trees.tree import Engine
+from deepkoco.systems.trees.parameters import Law
+from deepkoco.systems.trees.scalars import Scalar, add, mul
+from deepkoco.systems.trees.stiffness import larger
+from deepkoco.systems.trees.tree import Actuator, Engine
 
+LARGEST_SHARE = 0.5
 LEAST_IMPEDANCE, MOST_IMPEDANCE = 1e-4, 0.9999  # mjMINIMP, mjMAXIMP
 
 
@@ -24,8 +32,36 @@ def engine_of(model: Model) -> Engine | None:
     step = float(model.opt.timestep)
     if not step > 0.0 or any(creep is None for creep in creeps):
         return None
-    exact = model.opt.integrator == mujoco_library().mjtIntegrator.mjINT_RK4
-    return Engine(tuple(creep for creep in creeps if creep is not None), 0.0 if exact else 0.5 * step)
+    library, own = mujoco_library(), tuple(creep for creep in creeps if creep is not None)
+    if model.opt.integrator == library.mjtIntegrator.mjINT_RK4:
+        return Engine(own)
+    euler = model.opt.integrator == library.mjtIntegrator.mjINT_EULER
+    explicit = euler and bool(model.opt.disableflags & library.mjtDisableBit.mjDSBL_EULERDAMP)
+    half = 0.5 * step
+    return Engine(own, half, half if explicit else -half, half if euler else -half)
+
+
+def late_damping(
+    engine: Engine,
+    actuators: Sequence[Actuator],
+    least: Sequence[float],
+    passive: Mapping[str, Sequence[Scalar]],
+    laws: Sequence[Law],
+) -> list[Scalar]:
+    """Armature of each joint [kg m2 or kg] that stands for a damping which acts late or early; below 0 where late.
+
+    Args:
+        engine: How the tree is simulated.
+        actuators: Of the tree.
+        least: Smallest inertia that each joint moves; no more than half of it is taken off.
+        passive: Damping of each joint.
+        laws: Gain and bias of each actuator.
+    """
+    added = [mul(-engine.of_joints, damping) for damping in passive["damping"]]
+    for actuator, law in zip(actuators, laws, strict=True):
+        j = actuator.joint
+        added[j] = add(added[j], mul(engine.of_drives * actuator.gear**2, law.bias[2]))
+    return [larger(own, -LARGEST_SHARE * most) for own, most in zip(added, least, strict=True)]
 
 
 def friction_creep(model: Model, dof: int) -> Creep | None:

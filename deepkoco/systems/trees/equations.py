@@ -12,6 +12,7 @@ from deepkoco.systems.parameter import Parameters
 from deepkoco.systems.plain import is_plain
 from deepkoco.systems.trees.base_tilt import turned_gravity
 from deepkoco.systems.trees.dynamics import Inertia, forward_dynamics
+from deepkoco.systems.trees.engine import late_damping
 from deepkoco.systems.trees.fast import PASSIVE, FastLaw, TreeArrays
 from deepkoco.systems.trees.geometry import shaped, turned_forces, turned_inertias
 from deepkoco.systems.trees.loads import actuator_forces, clipped, passive_loads
@@ -19,7 +20,7 @@ from deepkoco.systems.trees.outside_forces import outside_forces, with_forces
 from deepkoco.systems.trees.parameters import Law, actuator_law, joint_value, link_inertias
 from deepkoco.systems.trees.scalars import Scalar, Triple, add, total
 from deepkoco.systems.trees.stiffness import added_armatures
-from deepkoco.systems.trees.tree import Joint, OutsideForce, Tree
+from deepkoco.systems.trees.tree import Engine, Joint, OutsideForce, Tree
 
 LONGEST_STEP = 0.01  # of a fit [s]; see deepkoco.fit.data.windows
 
@@ -29,6 +30,7 @@ class Steadying(NamedTuple):
 
     least_inertias: tuple[float, ...]  # of each joint [kg m2 or kg]
     longest_step: float  # that the values of the file allow [s]
+    engine: Engine | None = None  # of which the simulations are
 
 
 class Numbers(NamedTuple):
@@ -51,6 +53,9 @@ class Numbers(NamedTuple):
             step = min(steadying.longest_step, LONGEST_STEP)
             added = added_armatures(tree.actuators, steadying.least_inertias, passive, laws, step)
             passive["armature"] = [add(a, b) for a, b in zip(passive["armature"], added, strict=True)]
+            if steadying.engine is not None:
+                late = late_damping(steadying.engine, tree.actuators, steadying.least_inertias, passive, laws)
+                passive["armature"] = [add(a, b) for a, b in zip(passive["armature"], late, strict=True)]
         inertias, forces = link_inertias(tree, parameters), outside_forces(tree, parameters)
         gravity, shape = turned_gravity(tree.gravity, parameters), shaped(tree, parameters)
         if shape is None:

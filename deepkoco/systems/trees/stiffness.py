@@ -91,8 +91,8 @@ def added_armatures(
     dampings, springs = resistances(actuators, passive, laws)
     result: list[Scalar] = []
     for own, damping, spring in zip(least, dampings, springs, strict=True):
-        needed = _larger(mul(1.0 / fastest, damping), mul(swing**-2, spring))
-        result.append(_larger(add(needed, -own), 0.0))
+        needed = larger(mul(1.0 / fastest, damping), mul(swing**-2, spring))
+        result.append(larger(add(needed, -own), 0.0))
     return result
 
 
@@ -179,7 +179,7 @@ def _size(x: Scalar) -> Scalar:
     return abs(x)
 
 
-def _larger(a: Scalar, b: Scalar) -> Scalar:
+def larger(a: Scalar, b: Scalar) -> Scalar:
     if not isinstance(a, Tensor):
         a, b = b, a
     if not isinstance(a, Tensor):

@@ -146,10 +146,13 @@ class Engine:
     Attributes:
         creeps: How softly dry friction holds each joint.
         lead: Time before its step at which a command acts [s].
+        of_joints, of_drives: Times by which the damping of joints, and of servos, acts late [s]; below 0: early.
     """
 
     creeps: tuple[Creep, ...]
-    lead: float
+    lead: float = 0.0
+    of_joints: float = 0.0
+    of_drives: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,7 @@ from deepkoco.systems.trees.scalars import Triple, mul, total
 from deepkoco.systems.trees.scales import command_range, delivered, load_scales, motion_loads
 from deepkoco.systems.trees.settings import TreeSettings
 from deepkoco.systems.trees.stiffness import least_inertias, longest_step, refuse_redundant
-from deepkoco.systems.trees.tree import Engine, Tree, TreeError
+from deepkoco.systems.trees.tree import Tree, TreeError
 from deepkoco.systems.trees.visible import visible_parameters
 
 AS_ENGINE = (
@@ -121,7 +121,6 @@ class TreeSystem(System):
         self.tip = settings.tip(self.payload_sites, tip_place(tree))
         self._view = choose_view(tree)
         self._arrays = TreeArrays(tree)
-        self._engine: Engine | None = None
         declared = visible_parameters(self, tree, declared_parameters(tree, least))
         self.parameters = settings.parameters(declared, geometry_parameters(tree))
 
@@ -207,7 +206,7 @@ class TreeSystem(System):
     def command_timing(self, index: int, parameters: Parameters) -> CommandTiming:
         actuator = self.tree.actuators[index]
         lags = (time_constant(actuator, parameters),) if actuator.time_constant > 0.0 else ()
-        lead = 0.0 if self._engine is None else self._engine.lead
+        lead = 0.0 if self._steadying.engine is None else self._steadying.engine.lead
         delay = control_delay(actuator, parameters) - lead
         return CommandTiming(delay, lags, torch.zeros((), dtype=torch.float64))
 
@@ -242,15 +241,19 @@ class TreeSystem(System):
 
     def dry_friction_levels(self, parameters: Parameters) -> DryFriction:
         friction = super().dry_friction_levels(parameters)
-        return friction if self._engine is None else replace(friction, creeps=self._engine.creeps)
+        return (
+            friction
+            if self._steadying.engine is None
+            else replace(friction, creeps=self._steadying.engine.creeps)
+        )
 
-    engine = property(lambda self: None if self._engine is None else "MuJoCo")
+    engine = property(lambda self: None if self._steadying.engine is None else "MuJoCo")
 
     def with_engine(self) -> TreeSystem | None:
-        if self._engine is not None or self.tree.engine is None:
+        if self._steadying.engine is not None or self.tree.engine is None:
             return None
         simulated = copy(self)
-        simulated._engine = self.tree.engine
+        simulated._steadying = self._steadying._replace(engine=self.tree.engine)
         simulated.notes = (*self.notes, AS_ENGINE)
         return simulated
 

@@ -1,0 +1,79 @@
+"""Trees simulated as MuJoCo does: against MuJoCo with the steps of the file, for each of its integrators."""
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+from deepkoco.systems import load_system
+from deepkoco.systems.rollout import RolloutInput
+
+ARM = """
+<mujoco model="arm"><compiler angle="radian"/><option timestep="0.004" integrator="{}"><flag eulerdamp="{}"/></option>
+<worldbody><body><joint name="a" axis="0 1 0" damping="0.6"/>
+  <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.03" mass="1.2"/>
+  <body pos="0 0 -0.3"><joint name="b" axis="0 1 0" damping="0.2"/>
+    <geom type="capsule" fromto="0 0 0 0 0 -0.25" size="0.02" mass="0.6"/></body></body></worldbody>
+<actuator><position name="hold_a" joint="a" kp="12" kv="0.8"/><motor name="m_b" joint="b"/></actuator></mujoco>
+"""
+FINE, SECONDS = 0.001, 4.0
+
+
+def efforts(t):
+    return np.stack([0.6 * np.sin(2.3 * t), 0.7 * np.sin(3.1 * t)], 1)
+
+
+def in_mujoco(text):
+    model = mujoco.MjModel.from_xml_string(text)
+    data, path = mujoco.MjData(model), []
+    for k in range(round(SECONDS / model.opt.timestep)):
+        data.ctrl[:] = efforts(np.array([k * model.opt.timestep]))[0]
+        mujoco.mj_step(model, data)
+        path.append(data.qpos.copy())
+    return np.array(path)
+
+
+def in_ours(system, step):
+    """Positions at the ends of the steps of the engine, under commands that hold over each of them."""
+    timing = system.command_timing(0, system.default_parameters())
+    t = np.arange(0.0, SECONDS, FINE)
+    held = np.floor((t - float(timing.delay) + 1e-9) / step) * step
+    sent = np.where(held[:, None] >= 0.0, efforts(held), efforts(np.zeros(1)))
+    start = (torch.zeros(1, 1, dtype=torch.float64),) * 4
+    begin = [torch.from_numpy(sent[:, k].copy()).view(-1, 1, 1) for k in range(2)]
+    p = system.default_parameters()
+    given = RolloutInput(
+        FINE,
+        start,
+        start[0],
+        begin,
+        [torch.zeros_like(x) for x in begin],
+        None,
+        system.dry_friction_levels(p),
+    )
+    value = system.rollout(p).run(given).value
+    every = round(step / FINE)
+    return np.stack([value[k][every::every, 0, 0].numpy() for k in range(2)], 1)
+
+
+@pytest.mark.parametrize(
+    ("integrator", "flag"),
+    [("Euler", "enable"), ("Euler", "disable"), ("implicitfast", "enable"), ("implicit", "enable")],
+)
+def test_a_tree_moves_as_in_the_steps_of_mujoco(tmp_path, integrator, flag):
+    text = ARM.format(integrator, flag)
+    (tmp_path / "arm.xml").write_text(text)
+    machine, truth = load_system(tmp_path / "arm.xml"), in_mujoco(text)
+    simulated = machine.with_engine()
+    error = np.sqrt(((in_ours(simulated, 0.004) - truth) ** 2).mean())
+    assert error < 0.05 * np.sqrt(((in_ours(machine, 0.004) - truth) ** 2).mean())
+    assert error < 1e-4 * np.abs(truth).max()
+
+
+def test_steps_of_runge_kutta_are_those_of_a_machine(tmp_path):
+    (tmp_path / "arm.xml").write_text(ARM.format("RK4", "enable"))
+    machine = load_system(tmp_path / "arm.xml")
+    np.testing.assert_allclose(in_ours(machine.with_engine(), 0.004), in_ours(machine, 0.004), atol=1e-12)
+    assert machine.engine is None
+    assert machine.with_engine().engine == "MuJoCo"
+    assert machine.with_engine().with_engine() is None
