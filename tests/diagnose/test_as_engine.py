@@ -86,5 +86,5 @@ def test_a_healthy_log_of_a_simulated_robot_lacks_nothing(slider):
 def test_more_friction_of_a_simulated_robot_is_named(slider):
     found = diagnose([from_mujoco(friction=4.5)], slider)
     assert found.verdict == "cause"
-    names = {name for cause in found.causes for name in (cause.name, *cause.indistinguishable)}
+    names = {name for finding in found.causes for name in finding.members}
     assert names & {"coulomb", "changed(frictionloss(rail))", "coulomb(rail)"}
