@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 
-from deepkoco.diagnose.as_engine import as_engine_if_shown
+from deepkoco.diagnose.as_engine import as_engine_if_shown, the_other_way
 from deepkoco.diagnose.baseline import (
     Baseline,
     BaselineError,
@@ -100,13 +100,11 @@ def diagnose(
             "that was learned from them"
         )
     with one_thread():
+        usual = window_length(base) if window is None else window
         limit = TimeLimit(time_limit, began=began)
         if baseline is not None:
             check_learned(baseline, base)
-            base = (base.with_engine() or base) if baseline.system.engine else base
-        else:
-            base = as_engine_if_shown(healthy or recordings, base, window)
-        usual = window_length(base) if window is None else window
+        base = as_engine_if_shown(healthy or recordings, base, usual, baseline)
         # Healthy logs show what the unit does, and their baseline follows it.
         chosen = window is not None or baseline is not None or healthy
         length = usual if chosen else followed_length(recordings, base)
@@ -148,6 +146,7 @@ def diagnose(
 def _diagnosed(request: DiagnosisRequest, start: Baseline, unfitted: Sequence[str] = ()) -> Diagnosis:
     """Diagnose from one baseline: refit it and select causes, judge them, and build the result."""
     explanation = explained(request, start, unfitted)
+    request, explanation = the_other_way(request, explanation, unfitted)
     request, explanation = on_longer_windows(request, explanation)
     judgement = judge(request, explanation)
     explanation, judgement = with_values_off_the_sheet(request, explanation, judgement)

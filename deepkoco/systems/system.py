@@ -219,10 +219,13 @@ class System(SignalPath, NamedJoints, Drawn, metaclass=Declared):
         """Engine whose steps and friction it is simulated with along logs, ``"MuJoCo"``; None for a real machine."""
         return None
 
-    def with_engine(self) -> System | None:
+    def with_engine(self, on: bool = True) -> System | None:
         """The system as the engine of its file simulates it; None if it is so already, or has no engine.
 
         Friction then creeps, see :mod:`deepkoco.systems.creep`, and commands act as early as in the engine's steps.
+
+        Args:
+            on: False for the machine of a system that is simulated so.
         """
         return None
 

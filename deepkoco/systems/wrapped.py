@@ -178,8 +178,8 @@ class WrappedSystem(System):
     def engine(self) -> str | None:
         return self.base.engine
 
-    def with_engine(self) -> Self | None:
-        base = self.base.with_engine()
+    def with_engine(self, on: bool = True) -> Self | None:
+        base = self.base.with_engine(on)
         if base is None:
             return None
         wrapped = copy(self)

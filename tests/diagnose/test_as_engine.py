@@ -7,6 +7,7 @@ import torch
 
 from deepkoco.diagnose import diagnose
 from deepkoco.diagnose.as_engine import as_engine_if_shown
+from deepkoco.fit.data.windows import window_length
 from deepkoco.logs.recording import Recording, Series
 from deepkoco.systems import load_system
 from deepkoco.systems.stick_slip import Joints, StickSlip
@@ -66,15 +67,17 @@ def from_a_joint_that_sticks(system):
 
 
 def test_logs_decide_between_friction_that_holds_and_friction_that_creeps(slider):
-    assert as_engine_if_shown([from_mujoco()], slider).engine == "MuJoCo"
-    assert as_engine_if_shown([from_a_joint_that_sticks(slider)], slider).engine is None
+    assert as_engine_if_shown([from_mujoco()], slider, window_length(slider)).engine == "MuJoCo"
+    assert (
+        as_engine_if_shown([from_a_joint_that_sticks(slider)], slider, window_length(slider)).engine is None
+    )
 
 
 def test_a_robot_without_dry_friction_and_with_exact_steps_is_a_machine(tmp_path):
     path = tmp_path / "free.xml"
     path.write_text(SLIDER.replace("timestep", 'integrator="RK4" timestep').format(damping=4.0, friction=0.0))
     free = load_system(path)
-    assert as_engine_if_shown([from_mujoco(friction=0.0)], free) is free
+    assert as_engine_if_shown([from_mujoco(friction=0.0)], free, window_length(free)) is free
 
 
 @pytest.mark.study

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from deepkoco.diagnose.baseline import Healthy as HealthyLogs
-from deepkoco.diagnose.causes import catalogue, kind_of
+from deepkoco.diagnose.causes import Cause, catalogue, kind_of
 from deepkoco.diagnose.causes.tolerance import Healthy
 from deepkoco.diagnose.diagnosis import Estimate, Evidence, Finding
 from deepkoco.diagnose.evidence.how_probable import alone, listed
@@ -29,7 +29,8 @@ def scatter_findings(
 ) -> tuple[Finding, ...]:
     """Return the noise causes whose fall of the BIC exceeds the threshold, strongest first.
 
-    Causes within their tolerance, and causes of which the healthy logs show as much, are left out.
+    Causes within their tolerance, and causes of which the healthy logs show as much, are left out. A sensor of which
+    nobody stated the noise is noisier than its healthy logs at most.
 
     Args:
         system: The extended system.
@@ -44,7 +45,7 @@ def scatter_findings(
     deflation = dispersion(fit, windows).correlation
     found = []
     for name, cause in catalogue(system.base).items():
-        if cause.scatter is None:
+        if cause.scatter is None or (healthy is None and _is_a_guess(system, cause)):
             continue
         verdict = cause.scatter(view, cause.index)
         if verdict is None:
@@ -82,3 +83,8 @@ def scatter_findings(
         # Jitter already explains why the channels are noisier than their data sheets say.
         found = [f for f in found if kind_of(f.name) != "noise_level"]
     return tuple(sorted(found, key=lambda f: -f.delta_bic))
+
+
+def _is_a_guess(system: ExtendedSystem, cause: Cause) -> bool:
+    """Whether a cause compares the noise of a sensor with what nobody stated."""
+    return cause.kind == "noise_level" and system.measurements[cause.index].guessed

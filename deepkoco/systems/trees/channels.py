@@ -58,12 +58,14 @@ def refuse_clashes(channels: Sequence[Channel], where: str) -> None:
 def _position(name: str, slides: bool, joint: str) -> Channel:
     unit, noise = ("m", PLACE_NOISE) if slides else ("rad", ANGLE_NOISE)
     text = f"place of {joint}" if slides else f"angle of {joint}"
-    return Channel(name, unit, "measurement", noise_sd=noise, description=text, angle=not slides)
+    return Channel(
+        name, unit, "measurement", noise_sd=noise, description=text, angle=not slides, guessed=True
+    )
 
 
 def _speed(name: str, slides: bool, joint: str) -> Channel:
     unit, noise = ("m/s", RATE_NOISE) if slides else ("rad/s", SPEED_NOISE)
-    return Channel(name, unit, "measurement", noise_sd=noise, description=f"speed of {joint}")
+    return Channel(name, unit, "measurement", noise_sd=noise, description=f"speed of {joint}", guessed=True)
 
 
 def _drives(actuator: Actuator, tree: Tree) -> str:

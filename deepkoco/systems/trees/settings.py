@@ -151,9 +151,10 @@ class TreeSettings:
         for key, field in (("noise", "noise_sd"), ("zero_sd", "zero_sd")):
             for pattern, value in self._of(key).items():
                 for name in self._matching(pattern, result, "measurement"):
-                    result[name] = replace(
-                        result[name], **{field: self._number(f"{key}: {pattern}", value, 0.0)}
-                    )
+                    own = result[name]
+                    number = self._number(f"{key}: {pattern}", value, 0.0)
+                    guessed = own.guessed and field != "noise_sd"
+                    result[name] = replace(own, **{field: number, "guessed": guessed})
         return tuple(result.values())
 
     def tip(self, sites: Iterable[str], otherwise: str) -> str:

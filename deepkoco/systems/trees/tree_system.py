@@ -249,13 +249,14 @@ class TreeSystem(System):
 
     engine = property(lambda self: None if self._steadying.engine is None else "MuJoCo")
 
-    def with_engine(self) -> TreeSystem | None:
-        if self._steadying.engine is not None or self.tree.engine is None:
+    def with_engine(self, on: bool = True) -> TreeSystem | None:
+        engine = self.tree.engine if on else None
+        if engine is self._steadying.engine:
             return None
-        simulated = copy(self)
-        simulated._steadying = self._steadying._replace(engine=self.tree.engine)
-        simulated.notes = (*self.notes, AS_ENGINE)
-        return simulated
+        other = copy(self)
+        other._steadying = self._steadying._replace(engine=engine)
+        other.notes = (*self.notes, AS_ENGINE) if on else tuple(n for n in self.notes if n != AS_ENGINE)
+        return other
 
     def accelerations(self, parameters: Parameters) -> Acceleration:
         return self._law(Numbers.of(self.tree, parameters))
