@@ -11,7 +11,7 @@ Whether that is a fault is what the sheet says: it is 0.5 to 1.5 deviations of o
 | right | 2 % of everything | nothing |
 | strict | 1 % of everything | nothing; the unit is at most 3 deviations off |
 | one_wrong | 2 %, and one value that is 6 of these deviations away from the sheet of the others | that parameter |
-| small_errors | 2 %; the unit has a lag, a bias and a drag of its own (as those of HiddenCause) | nothing, or what it has |
+| small_errors | 2 %; the unit has a lag, a bias and a drag of its own, as in HiddenCause | nothing, or what it has |
 
 A study that is started again goes on.
 """
@@ -96,9 +96,22 @@ def row(sheet: str, seed: int, folder: Path) -> list[str]:
         e = first.parameters[parameter.name]
         away = (e.value - parameter.value) / parameter.prior_sd
         told = [f"{e.value:.5g}", f"{e.low:.5g}", f"{e.high:.5g}", f"{parameter.value:.5g}", f"{away:.2f}"]
-    members = "" if first is None else " ".join([*first.members, *(f"changed({m.name})" for m in first.same_as)])
+    members = (
+        "" if first is None else " ".join([*first.members, *(f"changed({m.name})" for m in first.same_as)])
+    )
     chi2 = (f"{x:.3f}" for x in (found.chi2_before, found.chi2_after))
-    return [sheet, str(seed), kind, wrong, found.verdict, " ".join(found.names), members, *told, *chi2, f"{spent:.1f}"]
+    return [
+        sheet,
+        str(seed),
+        kind,
+        wrong,
+        found.verdict,
+        " ".join(found.names),
+        members,
+        *told,
+        *chi2,
+        f"{spent:.1f}",
+    ]
 
 
 def sheet_of(robot: Robot, share: float, wrong: str, folder: Path) -> System:
@@ -125,9 +138,7 @@ def sheet_of(robot: Robot, share: float, wrong: str, folder: Path) -> System:
 def recording_of(log: Log) -> Recording:
     """A log of the oracle as a user would bring it."""
     commands = [n for n in log.units if n not in log.names]
-    channels = {
-        n: Series(log.t, log.commands[:, k], log.units[n], "command") for k, n in enumerate(commands)
-    }
+    channels = {n: Series(log.t, log.commands[:, k], log.units[n], "command") for k, n in enumerate(commands)}
     for k, n in enumerate(log.names):
         channels[n] = Series(log.t, log.readings[:, k], log.units[n], "measurement")
     return Recording(channels, None, None, {})
