@@ -114,12 +114,12 @@ def weigh(
         explanation = replace(explanation, weights=answer)
         if found.plain is not None and not lossy:
             explanation = of_mean(replace(explanation, found=found.plain))
-        if before.rough(causes) > top:
-            return explanation
+        rough = before.rough(causes) > top
     except (DivergedError, np.linalg.LinAlgError):
         return explanation
-    if UNKNOWN in best.causes:
-        return explanation
+    if rough or UNKNOWN in best.causes:
+        # The file may be rough, but it is still a model file: a lag of a millisecond is no fault of a unit.
+        return _nothing(explanation, rough) if _only_usual(explanation) else explanation
     plausible = _plausible(answer, causes) if best.causes else []
     if lossy:
         plausible += [c for c in causes if c.traced]
@@ -263,6 +263,15 @@ def _started_as_weighed(cause: Cause, weights: Answer | None) -> Cause:
         return cause
     values = {name: estimate.value for name, estimate in sizes.items()}
     return replace(cause, starts=lambda hint: [*cause.starts(hint), dict(values)])
+
+
+def _only_usual(explanation: Explanation) -> bool:
+    """Return whether causes are selected, and each is no more than any unit of a model file has."""
+    base, found = explanation.base, explanation.found
+    if not found.accepted or found.lost is not None:
+        return False
+    sizes = (usual_sizes(base.start, c, found.final, base.problem) for c in found.accepted)
+    return all(own and _within(base.start, own, found.final) for own in sizes)
 
 
 def _within(start: Baseline, sizes: Sequence[Parameter], fit: Fit) -> bool:

@@ -16,6 +16,7 @@ from deepkoco.diagnose.causes.tolerance import Healthy, usual_sd
 from deepkoco.diagnose.data_sheet import guessed, with_usual_spread
 from deepkoco.diagnose.evidence.priors import strained
 from deepkoco.diagnose.little_of_all import with_little
+from deepkoco.diagnose.nothing_at_once import Weights
 from deepkoco.diagnose.probability.answer import Answer, Weighed
 from deepkoco.diagnose.probability.shadow import log_prior_of_losses
 from deepkoco.diagnose.verdict.advice import possible_advice
@@ -35,14 +36,14 @@ XML = """<mujoco model="link"><option timestep="0.0005"/><worldbody><body name="
   <actuator><motor name="motor" joint="hinge" ctrlrange="-2 2"/></actuator></mujoco>"""
 
 
-def log_of(damping=0.0, seconds=14.0, rate=100.0, seed=5):
-    """A log of MuJoCo's own motion: every unit is 1 % heavier and lags 1 ms; ``damping`` [N m s/rad] is hidden."""
+def log_of(damping=0.0, seconds=14.0, rate=100.0, seed=5, lag=1e-3):
+    """A log of MuJoCo's own motion: every unit is 1 % heavier and has a lag [s]; ``damping`` [N m s/rad] is hidden."""
     model = mujoco.MjModel.from_xml_string(XML)
     model.body_mass[1] *= 1.01
     model.dof_damping[0] += damping
     data, rng = mujoco.MjData(model), np.random.default_rng(seed)
     steps, force, sent, shown = round(1.0 / (rate * model.opt.timestep)), 0.0, [], []
-    keep = math.exp(-model.opt.timestep / 1e-3)
+    keep = math.exp(-model.opt.timestep / lag)
     for i in range(round(seconds * rate)):
         if i % 30 == 0:
             wanted = float(rng.uniform(-1.6, 1.6))
@@ -210,3 +211,12 @@ def test_damping_within_its_guessed_prior_is_named_and_what_any_unit_has_is_not(
     assert worn.verdict == "cause"
     assert {"viscous", "changed(damping(hinge))"} & set(worn.causes[0].members)
     assert worn.causes[0].parameters["viscous.change"].value == pytest.approx(0.04, rel=0.15)
+
+
+@pytest.mark.parametrize(("lag", "verdict"), [(1e-3, "nothing"), (6e-3, "cause")])
+def test_a_rough_file_makes_no_fault_of_what_any_unit_has(path, monkeypatch, lag, verdict):
+    # Where a rough file weighs most, the first selection stands: a lag of a millisecond was its name (50000/66).
+    monkeypatch.setattr(Weights, "rough", lambda self, causes: math.inf)
+    result = diagnose([log_of(lag=lag)], str(path), only=["lag", "viscous", "coulomb"])
+    assert result.verdict == verdict
+    assert (*result.names, *(m["name"] for m in result.unexplained["minor"])) == ("lag",)

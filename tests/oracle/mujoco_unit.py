@@ -210,6 +210,7 @@ def record(
     seconds: float = 20.0,
     drawn: int | None = None,
     step: float = STEP,
+    off: Callable[[np.random.Generator], float] | None = None,
 ) -> Log:
     """Run the unit under its excitation and log it.
 
@@ -220,8 +221,9 @@ def record(
         seconds: Length of the log [s].
         drawn: Seed of excitation and noise, where they shall differ from the unit's; None takes ``seed``.
         step: Of the simulation [s].
+        off: As in `unit_model`.
     """
-    model = unit_model(robot, hidden, seed, step)
+    model = unit_model(robot, hidden, seed, step, off)
     data = mujoco.MjData(model)
     names = joint_names(model)
     sensors = draw_sensors(np.random.default_rng([seed, 12]), model)

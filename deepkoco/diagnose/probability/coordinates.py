@@ -62,7 +62,12 @@ class Coordinate:
     @property
     def tolerated(self) -> bool:
         """Whether any unit has a little of it: a slope without a shape."""
-        return self.slope and not self.place and self.parameter not in Push.NAMES
+        return self.slope and not self.shaped
+
+    @property
+    def shaped(self) -> bool:
+        """Whether it acts at a chosen shape, place or time only."""
+        return bool(self.place) or self.parameter in Push.NAMES
 
 
 @dataclass(frozen=True)
@@ -199,10 +204,15 @@ def is_shape(name: str) -> bool:
 
 def tolerances(catalogue: Catalogue, loose: bool) -> tuple[np.ndarray, np.ndarray]:
     """Return the columns of which any unit has a little, besides its own parameters, and their standard deviations."""
-    share = TOLERANCE * (LOOSER if loose else 1.0)
+    share = share_of_any(loose)
     own = len(catalogue.base)
     inside = [k for k, c in enumerate(catalogue.coordinates) if k >= own and c.tolerated]
     return np.array(inside, dtype=int), np.array([share * catalogue.coordinates[k].wide for k in inside])
+
+
+def share_of_any(loose: bool) -> float:
+    """Return what any unit has of an effect, in Cauchy scales; a unit of which only a model file is known has more."""
+    return TOLERANCE * (LOOSER if loose else 1.0)
 
 
 def spreads(problem: FitProblem, catalogue: Catalogue, inside: np.ndarray) -> np.ndarray:

@@ -39,6 +39,8 @@ class Fixed:
         linear: (W, n, l) columns that stay as they are there: tolerated changes, weights of the smooth function, zeros.
         responses: (W, n, m) of independent unit loads in time.
         unit: Prior of base parameters, tolerated changes, weights and zeros.
+        tolerated: Numbers of the coordinates of the tolerated changes, in the order of the linear columns.
+        share: What any unit has of an effect without a slope, in Cauchy scales.
     """
 
     catalogue: Catalogue
@@ -46,6 +48,14 @@ class Fixed:
     linear: np.ndarray
     responses: np.ndarray
     unit: UnitPrior
+    tolerated: np.ndarray
+    share: float
+
+    @cached_property
+    def places(self) -> dict[int, int]:
+        """Place in the prior of any unit of each coordinate that it has."""
+        own = len(self.catalogue.base)
+        return {c: c for c in range(own)} | {int(c): own + k for k, c in enumerate(self.tolerated)}
 
     @property
     def here(self) -> np.ndarray:

@@ -20,13 +20,13 @@ from deepkoco.diagnose.evidence.start_values import Hints
 from deepkoco.diagnose.probability.amplitudes import Amplitudes
 from deepkoco.diagnose.probability.answer import Answer, Weighed
 from deepkoco.diagnose.probability.columns import columns_at, zeros_of
-from deepkoco.diagnose.probability.coordinates import Catalogue, coordinates_of, tolerances
+from deepkoco.diagnose.probability.coordinates import Catalogue, coordinates_of, share_of_any, tolerances
 from deepkoco.diagnose.probability.explanations import FURTHER
 from deepkoco.diagnose.probability.gram import WindowSums
 from deepkoco.diagnose.probability.healthy_unit import HealthyUnit, learned_unit
 from deepkoco.diagnose.probability.linear import Linearisation
 from deepkoco.diagnose.probability.model_error import in_time, of_motion, ranges_of, slot_responses
-from deepkoco.diagnose.probability.posterior import weighed
+from deepkoco.diagnose.probability.posterior import weighed, without_usual
 from deepkoco.diagnose.probability.promising import as_promising, doubted, promising
 from deepkoco.diagnose.probability.refine import Fixed, Refit, refined, started, widened
 from deepkoco.diagnose.probability.search import Scored, search
@@ -275,7 +275,9 @@ def linearised(
         unit, inside = healthy, _in_order(listed, healthy)
     unit = WithZeros(unit, problem.zeros.spread)
     tall = np.concatenate([columns.changes[:, :, inside], smooth], axis=2)
-    fixed = Fixed(listed, origin, tall, sudden, unit)
+    # Healthy logs tell how much the unit has; from day to day, that changes less.
+    share = share_of_any(loose and healthy is None)
+    fixed = Fixed(listed, origin, tall, sudden, unit, inside, share)
     count = len(listed.coordinates)
     linear = Linearisation(
         WindowSums(np.concatenate([columns.changes, smooth], 2), columns.states, sudden, columns.residual),
@@ -315,7 +317,8 @@ def _refitted(
     """Refit explanations from a point of linearisation.
 
     A wider explanation contains "nothing", so it weighs less by its price at most. One that weighs far less ended in
-    another minimum, and is refitted from the optimum of "nothing", too.
+    another minimum, and is refitted from the optimum of "nothing", too. One that frees no more than any unit has is
+    also weighed without that, at its own point.
 
     Args:
         problem: The windows.
@@ -332,7 +335,7 @@ def _refitted(
     plain = next((r for r in refits if not r.explanation.causes), plain)
     found = [weighed(problem, fixed, r, point.causes) for r in refits]
     if plain is None:
-        return found, None
+        return [*found, *_narrower(problem, point, refits)], None
     least = weighed(problem, fixed, plain, point.causes).log_weight - PRICE
     low = [k for k, e in enumerate(found) if e.log_weight < least and not refits[k].explanation.unknown]
     again = refined(problem, fixed, [widened(fixed, plain, refits[k].explanation) for k in low])
@@ -340,7 +343,14 @@ def _refitted(
         if refit.sums is not None:
             other = weighed(problem, fixed, refit, point.causes)
             found[k] = max(found[k], other, key=lambda e: e.log_weight)
-    return found, plain
+            refits[k] = refit if found[k] is other else refits[k]
+    return [*found, *_narrower(problem, point, refits)], plain
+
+
+def _narrower(problem: FitProblem, point: Point, refits: Sequence[Refit]) -> list[Weighed]:
+    """Weigh explanations at the points of those that only add to them what any unit has."""
+    narrower = (without_usual(problem, point.fixed, r, point.causes) for r in refits)
+    return [e for e in narrower if e is not None]
 
 
 def _in_order(listed: Catalogue, healthy: HealthyUnit) -> np.ndarray:

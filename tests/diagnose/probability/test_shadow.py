@@ -12,7 +12,7 @@ from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.probability import shadow
 from deepkoco.diagnose.probability.columns import columns_at
 from deepkoco.diagnose.probability.healthy_unit import learned_unit
-from deepkoco.diagnose.probability.posterior import weighed
+from deepkoco.diagnose.probability.posterior import weighed, without_usual
 from deepkoco.diagnose.probability.refine import refined, started
 from deepkoco.diagnose.probability.shadow import linearised, probabilities
 from deepkoco.fit import FitProblem, cut_windows, moving
@@ -117,6 +117,56 @@ def test_an_explanation_that_ends_in_another_minimum_is_refitted_from_nothing(wi
     assert plain is not None
     assert [f.causes for f in found] == [(), ("payload",)]
     assert found[1].log_weight == pytest.approx(wanted[1].log_weight, abs=0.2)
+
+
+@pytest.fixture(scope="module")
+def healthy_refits():
+    problem, reference, start = fitted(hidden_log(SYSTEM, {}, "steps", 20502, 12.0))
+    point = linearised(problem, reference, start, CAUSES, None)
+    singles = {s.explanation.causes: s for s in reversed(point.scored) if len(s.explanation.items) <= 1}
+    starts = [started(point.fixed, s.explanation, s.mode, s.amplitude) for s in singles.values()]
+    refits = {r.explanation.causes: r for r in refined(problem, point.fixed, starts)}
+    return problem, point, refits
+
+
+@pytest.mark.parametrize("cause", ["torque_bias", "coulomb"])
+def test_nothing_weighs_the_same_at_the_point_of_a_cause_that_frees_no_more_than_any_unit_has(
+    healthy_refits, cause
+):
+    problem, point, refits = healthy_refits
+    plain, freed = (weighed(problem, point.fixed, refits[c], point.causes) for c in ((), (cause,)))
+    narrower = without_usual(problem, point.fixed, refits[cause,], point.causes)
+    assert narrower is not None
+    assert narrower.causes == ()
+    assert narrower.log_weight == pytest.approx(plain.log_weight, abs=1.0)
+    assert narrower.log_weight > freed.log_weight
+
+
+def test_a_delay_of_a_share_of_a_millisecond_is_left_out_where_any_unit_has_as_much(healthy_refits):
+    # A delay is no column of what any unit has: its start is away from null.
+    problem, point, refits = healthy_refits
+    refit = refits["actuation_delay",]
+    assert without_usual(problem, point.fixed, refit, point.causes) is None
+    fixed = replace(point.fixed, share=0.05)
+    narrower = without_usual(problem, fixed, refit, point.causes)
+    assert narrower is not None
+    assert narrower.causes == ()
+    assert narrower.log_weight > weighed(problem, fixed, refit, point.causes).log_weight
+
+
+def test_what_is_more_than_any_unit_has_is_not_left_out(with_friction):
+    problem, reference, start = with_friction
+    point = linearised(problem, reference, start, CAUSES, None)
+    own = next(s for s in point.scored if s.explanation.causes == ("coulomb",))
+    (refit,) = refined(problem, point.fixed, [started(point.fixed, own.explanation, own.mode, own.amplitude)])
+    assert without_usual(problem, point.fixed, refit, point.causes) is None
+
+
+@pytest.mark.study
+def test_a_lag_of_a_millisecond_is_nothing_before_encoders_of_little_noise(tmp_path):
+    # As a slope, at a point of 500 noise variances, it left "nothing" 3 nats behind the lag.
+    handed = draw_case(50000, 21, 20.0).question(tmp_path).handed
+    assert diagnose(list(handed.log), handed.system).verdict == "nothing"
 
 
 @pytest.mark.study
