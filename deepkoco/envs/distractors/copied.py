@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import gymnasium
@@ -32,6 +32,12 @@ def find_copied(name: str) -> FixedTask:
     return known.get(name, found[0])
 
 
+def own_task(arguments: Mapping[str, Any]) -> str | None:
+    """The name of the task of ours that an environment with these arguments is; None where it is none."""
+    name = arguments.get("task") or arguments.get("system")
+    return name if isinstance(name, str) and isinstance(TASKS.get(name), FixedTask) else None
+
+
 def resolve_copied(system: Copied, env: gymnasium.Env | VectorEnv) -> Copied:
     """What copies of an environment are copies of.
 
@@ -46,8 +52,7 @@ def resolve_copied(system: Copied, env: gymnasium.Env | VectorEnv) -> Copied:
     if system != ITSELF:
         return system
     spec = env.unwrapped.spec
-    name = None if spec is None else spec.kwargs.get("task") or spec.kwargs.get("system")
-    if isinstance(name, str) and name in TASKS and isinstance(TASKS[name], FixedTask):
+    if spec is not None and (name := own_task(spec.kwargs)) is not None:
         return name
     if isinstance(env, gymnasium.Env):
         return lambda: _make_as(env.spec)

@@ -8,6 +8,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space
 
@@ -120,7 +121,7 @@ class Mixer:
         return np.concatenate(rows, 0)
 
 
-class StateDistractors(gymnasium.Wrapper):
+class StateDistractors(gymnasium.Wrapper, RecordConstructorArgs):
     """Adds entries to the observation of an environment that have nothing to do with the task, shuffled.
 
     They do not act on the task, and feel the action with the drive "action" alone. ``reset(seed=...)`` seeds them
@@ -149,7 +150,15 @@ class StateDistractors(gymnasium.Wrapper):
         shuffle_seed: int = 0,
         split: str = "train",
     ) -> None:
-        super().__init__(env)
+        RecordConstructorArgs.__init__(
+            self,
+            distractors=distractors,
+            options=options,
+            system=system,
+            shuffle_seed=shuffle_seed,
+            split=split,
+        )
+        gymnasium.Wrapper.__init__(self, env)
         self.mixer = Mixer(env, distractors, 1, options, system, shuffle_seed, split)
         self.observation_space = self.mixer.space
 
