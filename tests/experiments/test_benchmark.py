@@ -49,7 +49,7 @@ def micro(tmp_path) -> str:
 
 
 def test_the_cells_come_seed_by_seed_and_can_be_chosen():
-    suite = suite_of("suite=first", "agents=[sac,deepmdp]", "among=[copies_5]", "seeds=[3,1]")
+    suite = suite_of("suite=hour", "agents=[sac,deepmdp]", "among=[copies_5]", "seeds=[3,1]")
     assert list(cells(suite)) == [
         Cell(agent, "dm_cartpole_swingup", "copies_5", seed)
         for seed in (3, 1)
@@ -60,7 +60,7 @@ def test_the_cells_come_seed_by_seed_and_can_be_chosen():
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["suite=nope"], "no such suite; choose from first, full, tiny"),
+        (["suite=nope"], "no such suite; choose from full, hour, tiny"),
         (["tiny"], "given as NAME=VALUE, such as suite=tiny"),
         (["suite=tiny", "agent=sac"], "agent"),
         (["suite=tiny", "seeds=[x]"], "seeds"),
@@ -114,7 +114,7 @@ def test_every_sweep_of_a_shipped_suite_is_made_of_settings_that_there_are(name,
 
 
 def test_without_a_launcher_a_sweep_is_of_one_seed():
-    seeds = [chosen[0].seed for _, _, chosen in sweep_commands(suite_of("suite=first"), Path("out"), None)]
+    seeds = [chosen[0].seed for _, _, chosen in sweep_commands(suite_of("suite=hour"), Path("out"), None)]
     assert seeds == [0] * 6 + [1] * 6
 
 
