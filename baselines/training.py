@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -42,6 +41,7 @@ from deepkoco.agent.references.measure import Trained
 from deepkoco.agent.references.run_comparison import compare_run
 from deepkoco.agent.seeding import Purpose, derive_seed
 from deepkoco.agent.standing import Report, Standing
+from deepkoco.agent.stopwatch import Stopwatch
 from deepkoco.agent.stored_controller import MODEL_FOLDER
 
 CHECKPOINT_FILE = "checkpoint.pt"
@@ -59,6 +59,7 @@ class Progress:
         rows: Rows of the replay that are in these files.
         transitions: Transitions that are in these files.
         seconds: Time spent, over all resumptions [s].
+        processor_seconds: The same of processors; runs of earlier releases begin to count when they are resumed [s].
     """
 
     rounds: int = 0
@@ -67,6 +68,7 @@ class Progress:
     rows: int = 0
     transitions: int = 0
     seconds: float = 0.0
+    processor_seconds: float = 0.0
 
 
 class BaselineTrainer:
@@ -149,16 +151,16 @@ class BaselineTrainer:
         Returns:
             The last metrics row.
         """
-        started = time.perf_counter() - self.progress.seconds
+        watch = Stopwatch(self.progress)
         tell = report or _tell_nobody
         while not self.finished:
             before = self.progress.episodes
             self._round(tell)
             row = None
             if self._passed(before, self.config.evaluation_every):
-                row = self._evaluate(started)
+                row = self._evaluate(watch)
             if row is not None or self._passed(before, self.config.checkpoint_episodes):
-                self._save(started)
+                self._save(watch)
             tell(self._standing(f"training cost {self._last_cost():.0f}", row))
         if not (self.folder / MODEL_FOLDER).exists():
             self._export(self._compare())
@@ -202,7 +204,7 @@ class BaselineTrainer:
         """Updates that belong to the first steps of the run."""
         return max(0, steps - self.config.random_steps) // self.config.steps_per_update
 
-    def _evaluate(self, started: float) -> Row:
+    def _evaluate(self, watch: Stopwatch) -> Row:
         """Noise-free episodes; adds a row of metrics with what happened since the last one."""
         config = self.config
         count = config.final_evaluation_episodes if self.finished else config.evaluation_episodes
@@ -222,7 +224,7 @@ class BaselineTrainer:
             "train/cost_sd": cost_spread(train),
             **{name: self._mean(name) for name in self.learner.logged},
             **evaluation_metrics(costs, count),
-            "seconds": time.perf_counter() - started,
+            **watch.row(),
         }
         self.metrics.add(row)
         self._costs.clear()
@@ -243,13 +245,13 @@ class BaselineTrainer:
     def _standing(self, text: str, row: Row | None = None) -> Standing:
         return Standing(self.progress.episodes, self.config.total_episodes, text, row)
 
-    def _save(self, started: float) -> None:
+    def _save(self, watch: Stopwatch) -> None:
         progress = self.progress
         if self._replay.rows > progress.rows:
             write_replay(self.folder, progress.parts, self._replay.since(progress.rows, progress.transitions))
             progress.parts += 1
             progress.rows, progress.transitions = self._replay.rows, len(self._replay)
-        progress.seconds = time.perf_counter() - started
+        watch.note(progress)
         save_checkpoint(
             self.folder / CHECKPOINT_FILE,
             {

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -41,6 +40,7 @@ from deepkoco.agent.references.measure import Trained
 from deepkoco.agent.references.run_comparison import compare_run
 from deepkoco.agent.seeding import Purpose, derive_seed
 from deepkoco.agent.standing import Report, Standing
+from deepkoco.agent.stopwatch import Stopwatch
 from deepkoco.agent.stored_controller import MODEL_FOLDER
 
 CHECKPOINT_FILE = "checkpoint.pt"
@@ -55,12 +55,14 @@ class Progress:
         episodes: Finished episodes.
         steps: Steps of episodes.
         seconds: Time spent, over all resumptions [s].
+        processor_seconds: The same of processors; runs of earlier releases begin to count when they are resumed [s].
     """
 
     rounds: int = 0
     episodes: int = 0
     steps: int = 0
     seconds: float = 0.0
+    processor_seconds: float = 0.0
 
 
 class PpoTrainer:
@@ -148,16 +150,16 @@ class PpoTrainer:
         Returns:
             The last metrics row.
         """
-        started = time.perf_counter() - self.progress.seconds
+        watch = Stopwatch(self.progress)
         tell = report or _tell_nobody
         while not self.finished:
             before = self.progress.episodes
             self._round(tell)
             row = None
             if self._passed(before, self.config.evaluation_every):
-                row = self._evaluate(started)
+                row = self._evaluate(watch)
             if row is not None or self._passed(before, self.config.checkpoint_episodes):
-                self._save(started)
+                self._save(watch)
             if row is not None:
                 tell(self._standing(f"training cost {row['train/cost']:.0f}", row))
         if not (self.folder / MODEL_FOLDER).exists():
@@ -184,7 +186,7 @@ class PpoTrainer:
             tell(self._standing(f"episode {progress.episodes}"))
         progress.rounds += 1
 
-    def _evaluate(self, started: float) -> Row:
+    def _evaluate(self, watch: Stopwatch) -> Row:
         """Noise-free episodes; adds a row of metrics with what happened since the last one."""
         config = self.config
         count = config.final_evaluation_episodes if self.finished else config.evaluation_episodes
@@ -204,7 +206,7 @@ class PpoTrainer:
             "train/cost_sd": cost_spread(train),
             **{name: float(np.mean(self._logged[name])) for name in self.learner.logged},
             **evaluation_metrics(costs, count),
-            "seconds": time.perf_counter() - started,
+            **watch.row(),
         }
         self.metrics.add(row)
         self._costs.finished.clear()
@@ -219,8 +221,8 @@ class PpoTrainer:
         total = self.config.total_episodes
         return Standing(min(self.progress.episodes, total), total, text, row)
 
-    def _save(self, started: float) -> None:
-        self.progress.seconds = time.perf_counter() - started
+    def _save(self, watch: Stopwatch) -> None:
+        watch.note(self.progress)
         save_checkpoint(
             self.folder / CHECKPOINT_FILE,
             {

@@ -21,13 +21,14 @@ def write_rows(path: Path, rows: list[Row]) -> None:
 
     Args:
         path: Target file.
-        rows: At least one; all have the keys of the first.
+        rows: At least one; what a row lacks, as those of an older release may, is NaN.
 
     Raises:
         WriteError: The disk is full, or the place cannot be written.
     """
     text = io.StringIO()
-    writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
+    names = dict.fromkeys(name for row in rows for name in row)
+    writer = csv.DictWriter(text, fieldnames=list(names), restval="nan", lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
     write_whole_text(path, text.getvalue())

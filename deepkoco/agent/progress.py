@@ -15,6 +15,7 @@ class Progress:
         iteration_updates: Updates done in the present iteration.
         updates: Updates done in all.
         seconds: Time spent, over all resumptions [s].
+        processor_seconds: The same of processors; runs of earlier releases begin to count when they are resumed [s].
     """
 
     iteration: int = 0
@@ -22,3 +23,4 @@ class Progress:
     iteration_updates: int = 0
     updates: int = 0
     seconds: float = 0.0
+    processor_seconds: float = 0.0

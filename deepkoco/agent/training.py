@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from functools import partial
@@ -51,6 +50,7 @@ from deepkoco.agent.replay_files import read_replay
 from deepkoco.agent.schedule import planned_updates, step_size
 from deepkoco.agent.seeding import Purpose, derive_seed
 from deepkoco.agent.standing import Report, Standing
+from deepkoco.agent.stopwatch import Stopwatch
 from deepkoco.agent.stored_controller import MODEL_FOLDER, StoredController, write_controller
 from deepkoco.agent.trained import trained_deepkoco
 from deepkoco.koopman.model.model import KoopmanModel
@@ -151,11 +151,11 @@ class Trainer:
         Raises:
             ReplayError: No collected episode is as long as a training window.
         """
-        started = time.perf_counter() - self.progress.seconds
+        watch = Stopwatch(self.progress)
         while not self.finished:
             if not self.progress.collected:
                 self._collect()
-                self._save(started)
+                self._save(watch)
                 note = "" if self.progress.iteration else self._experience.decision
                 if report is not None and note:
                     report(replace(self._standing(self._planned_updates()), note=note))
@@ -163,14 +163,14 @@ class Trainer:
             while self.progress.iteration_updates < planned:
                 self._update(planned)
                 if self.progress.iteration_updates % self.config.checkpoint_updates == 0:
-                    self._save(started)
+                    self._save(watch)
                 if report is not None and self.progress.iteration_updates % 50 == 0:
                     report(self._standing(planned))
             if len(self._buffer) >= self.config.total_episodes:
-                self._save(started, BEFORE_END_FILE)
+                self._save(watch, BEFORE_END_FILE)
             standing = self._standing(planned)
-            self._finish_iteration(planned, started)
-            self._save(started)
+            self._finish_iteration(planned, watch)
+            self._save(watch)
             if report is not None:
                 report(replace(standing, row=self.metrics.rows[-1]))
         if not (self.folder / MODEL_FOLDER).exists():
@@ -230,7 +230,7 @@ class Trainer:
         if planned - self.progress.iteration_updates < config.iteration_updates:
             self._loss_sums += torch.stack([getattr(losses, name) for name in LOSS_NAMES])
 
-    def _finish_iteration(self, planned: int, started: float) -> None:
+    def _finish_iteration(self, planned: int, watch: Stopwatch) -> None:
         config = self.config
         self._note_eigenvalues()  # of the last weights, as the losses are, whichever are kept
         growth = float(self.averaged_model.dynamics.mu.detach().max())
@@ -271,7 +271,7 @@ class Trainer:
                 "evaluation/planner_failures": failures,
                 **kept,
                 **planner,
-                "seconds": time.perf_counter() - started,
+                **watch.row(),
             },
             clock,
         )
@@ -299,8 +299,8 @@ class Trainer:
             costs = episode_costs(self._noise_free(agent, count, start))
             self._kept.offer_linear(linear, float(costs.mean()), len(self._buffer))
 
-    def _save(self, started: float, name: str = CHECKPOINT_FILE) -> None:
-        self.progress.seconds = time.perf_counter() - started
+    def _save(self, watch: Stopwatch, name: str = CHECKPOINT_FILE) -> None:
+        watch.note(self.progress)
         save_checkpoint(
             self.folder / name,
             {

@@ -7,9 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium
+from gymnasium.vector import VectorEnv
 from gymnasium.wrappers import TimeLimit
 
 from deepkoco.envs.delay_env import DelayGraphEnv, DelayGraphVectorEnv
+from deepkoco.envs.distractors import DistractorOptions, StateDistractors, VectorStateDistractors
+from deepkoco.envs.distractors.copied import own_task
 from deepkoco.envs.tasks import Task
 from deepkoco.systems import System
 
@@ -21,8 +24,10 @@ def make_env(
     task: str | Task | type[Task] | Mapping[str, float] | None = None,
     num_envs: int | None = None,
     max_episode_steps: int = STEPS,
+    distractors: str = "none",
+    distractor_options: DistractorOptions | None = None,
     **settings: Any,
-) -> gymnasium.Env | DelayGraphVectorEnv:
+) -> gymnasium.Env | VectorEnv:
     """Make a Gymnasium environment of a robot.
 
     Args:
@@ -32,6 +37,9 @@ def make_env(
             ``{"pole": 3.14}``. None: the swing-up of a system of the package that has one; else all positions go to 0.
         num_envs: How many environments step together in one vector environment; None makes a single one.
         max_episode_steps: Steps of an episode.
+        distractors: "none", or ``copies`` of this robot and task, ``noise``, ``projection``, joined by "+": further
+            entries of the observation.
+        distractor_options: Of them, such as ``DistractorOptions(copies=5, drive="random")``.
         **settings: Fields of :class:`deepkoco.envs.settings.EnvironmentSettings` such as ``actuation_delay``,
             ``randomize`` or ``noise``, and ``render_mode``. ``world_rate`` is chosen from the equations by default.
 
@@ -42,8 +50,18 @@ def make_env(
         SettingsError: The task or a setting is wrong.
         UnknownSystemError: There is no such system.
         ModelFileError: A model.yaml cannot be read.
+        DistractorError: A distractor or one of its options is wrong.
     """
     settings = {"world_rate": None, "system": system, "task": task, **settings}
-    if num_envs is not None:
-        return DelayGraphVectorEnv(num_envs, max_episode_steps, **settings)
-    return TimeLimit(DelayGraphEnv(**settings), max_episode_steps)
+
+    def single() -> gymnasium.Env:
+        return TimeLimit(DelayGraphEnv(**settings), max_episode_steps)
+
+    env = single() if num_envs is None else DelayGraphVectorEnv(num_envs, max_episode_steps, **settings)
+    if distractors == "none":
+        return env
+    # Where a task of ours names itself, its copies step as one batch; others are recorded from environments like it.
+    copied = own_task(settings) or single
+    if isinstance(env, VectorEnv):
+        return VectorStateDistractors(env, distractors, distractor_options, copied)
+    return StateDistractors(env, distractors, distractor_options, copied)

@@ -11,6 +11,8 @@ from gymnasium.vector import VectorEnv
 from omegaconf import MISSING
 
 from deepkoco.envs.distractors import DistractorError, DistractorOptions, VectorStateDistractors
+from deepkoco.envs.distractors.copied import resolve_copied
+from deepkoco.envs.distractors.options import ITSELF
 from deepkoco.envs.distractors.registry import PIXEL, make_distractors
 from deepkoco.envs.pixels import FRAME_SIZE, VectorPixels
 from deepkoco.envs.sparse_cost import VectorSparseCost
@@ -30,8 +32,8 @@ class TaskConfig:
     """Short name, for folders and figures."""
     id: str = MISSING
     """Registered Gymnasium id; MODULE:ID imports the module first, from the current folder too."""
-    system: str = "rod_pendulum"
-    """System of the distractor copies."""
+    system: str = ITSELF
+    """What distractor copies are of: "itself", the environment; or the name of a task or system of ours."""
     kwargs: dict[str, Any] = field(default_factory=dict)
     """Arguments of the environment; a new one is given as task.kwargs.NAME=VALUE with a leading +."""
     sparse_cost: float | None = None
@@ -51,7 +53,8 @@ def with_images(
     envs: VectorEnv, config: TaskConfig, seed: int, distractors: str, options: DistractorOptions, split: str
 ) -> VectorEnv:
     """The agent sees frames, with the distractors in them."""
-    layers = make_distractors(PIXEL, distractors, envs.num_envs, options, config.system, split, FRAME_SIZE)
+    copied = resolve_copied(config.system, envs)
+    layers = make_distractors(PIXEL, distractors, envs.num_envs, options, copied, split, FRAME_SIZE)
     return VectorPixels(envs, tuple(layers.values()))
 
 

@@ -22,7 +22,10 @@ from scipy.stats import bootstrap
 from deepkoco.agent import load_policy
 from deepkoco.agent.policy import load_model
 from deepkoco.envs.distractors import StateDistractors
+from deepkoco.envs.distractors.copied import find_copied, own_task
+from deepkoco.envs.distractors.options import ITSELF
 from deepkoco.envs.film import write_clip
+from deepkoco.envs.task_id import find_spec
 from deepkoco.envs.unit_env import UnitEnv
 from deepkoco.output.new_folder import new_folder
 from deepkoco.runs.delayed import load_delayed_policy
@@ -110,10 +113,8 @@ def check_run(run: Path, unit: UnitSpec) -> None:
     """
     config = load_run_config(run)
     check_finished(run)
-    if config.task.system != unit.system:
-        raise ExperimentError(
-            f"{run}: trained on task.system {config.task.system}, but the unit is a {unit.system}"
-        )
+    if (trained_on := _system_of(config)) not in (None, unit.system):
+        raise ExperimentError(f"{run}: trained on task.system {trained_on}, but the unit is a {unit.system}")
     if config.observation != "states":
         raise ExperimentError(f"{run}: trained on observation = {config.observation}; a unit gives states")
     model, _, low, high = load_model(run)
@@ -200,6 +201,14 @@ def _controller(
     return act, delayed.reset
 
 
+def _system_of(config: TrainRunConfig) -> str | None:
+    """System that a run was trained on; None where its environment does not tell, as one with a unit of its own."""
+    if config.task.system != ITSELF:
+        return config.task.system
+    name = own_task({**find_spec(config.task.id).kwargs, **config.task.kwargs})
+    return None if name is None else find_copied(name).system
+
+
 def _environment(config: TrainRunConfig, unit: UnitSpec, clock: str, film: bool):
     kwargs = config.task.kwargs
     env = UnitEnv(
@@ -211,7 +220,9 @@ def _environment(config: TrainRunConfig, unit: UnitSpec, clock: str, film: bool)
     )
     if config.distractors == "none":
         return env
-    options, system = config.distractor_options, config.task.system
+    # Copies of the unit itself would move it: they are simulated.
+    system = unit.system if config.task.system == ITSELF else config.task.system
+    options = config.distractor_options
     return StateDistractors(env, config.distractors, options, system, config.seed, "evaluation")
 
 

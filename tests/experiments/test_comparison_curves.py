@@ -37,6 +37,7 @@ def evaluated(
             "steps": steps,
             "updates": steps // 2,
             "seconds": seconds * steps,
+            "processor_seconds": np.nan,  # as of a run of an earlier release
             COST: np.asarray(costs, dtype=float),
             "evaluation/episodes": [10] * (len(steps) - 1) + [200 if finished else 10],
             "finished": finished,
@@ -63,6 +64,7 @@ def test_runs_that_evaluate_at_different_times_are_averaged_at_equal_steps():
     assert iqm_at(curves, "seconds").index.tolist() == [400.0, 500.0, 600.0]
     assert iqm_at(curves, "episodes").index.tolist() == [2.0, 2.5, 3.0]
     assert set(curves["seeds"]) == {2}
+    assert "processor_seconds" not in set(curves["axis"])  # nobody measured it
 
 
 def test_a_finished_run_keeps_its_cost_and_an_unfinished_one_ends_the_curve():

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
+import gymnasium
 import numpy as np
 
 SPLITS = ("train", "evaluation")
+ITSELF = "itself"
+"""Copies of the environment of the task itself, whichever it is."""
+Copied = str | Callable[[], gymnasium.Env]
+"""What copies are of: the name of a task of ours, or what makes one more environment."""
 _STREAM = 7919  # keeps the distractors' draws apart from those of the environment with the same seed
 
 
@@ -27,8 +32,10 @@ class DistractorOptions:
     copies: int = 4
     """copies: further systems; the thesis has four pendulums."""
     drive: str = "ou"
-    """copies: their commands, "ou" (Ornstein-Uhlenbeck) or "random" (uniform, anew at every step); the thesis
-    does not say how its distractors are driven."""
+    """copies: their commands, "ou" (Ornstein-Uhlenbeck), "random" (uniform, anew at every step), or "action": that of
+    the agent, from other start states; the thesis does not say how its distractors are driven."""
+    episodes: int = 500
+    """copies of an environment that is not ours: episodes that are recorded in each split, and then played again."""
     channels: int = 12
     """noise, projection: entries of noise that are added to the observation."""
     patterns: int = 8
@@ -50,7 +57,7 @@ class DistractorOptions:
         for name, value in named.items():
             if not 0.0 <= value <= 1.0:
                 raise DistractorError(f"distractor_options.{name} = {value}; give a number from 0 to 1")
-        for name in ("copies", "channels", "patterns", "video_frames"):
+        for name in ("copies", "episodes", "channels", "patterns", "video_frames"):
             if getattr(self, name) < 1:
                 raise DistractorError(f"distractor_options.{name} = {getattr(self, name)}; give 1 or more")
 
@@ -63,7 +70,8 @@ class Setup:
         name: Of the distractor.
         batch: Environments B.
         intensity: 0 to 1.
-        system: Name of a task of ours, for copies.
+        system: What copies are of.
+        actions: Entries M of the agent's action.
         options: Options of all distractors.
         split: "train" or "evaluation": other draws, other patterns, other videos.
         size: Side of a frame [pixels].
@@ -72,7 +80,8 @@ class Setup:
     name: str
     batch: int
     intensity: float
-    system: str = "rod_pendulum"
+    system: Copied = "rod_pendulum"
+    actions: int = 1
     options: DistractorOptions = field(default_factory=DistractorOptions)
     split: str = "train"
     size: int = 64

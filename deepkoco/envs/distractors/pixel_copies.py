@@ -8,7 +8,8 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from deepkoco.envs.distractors.options import Setup
+from deepkoco.envs.distractors.drives import ACTION
+from deepkoco.envs.distractors.options import DistractorError, Setup
 from deepkoco.envs.distractors.pixel_layer import PixelLayer
 from deepkoco.envs.distractors.wandering import WanderingSystems
 
@@ -21,6 +22,10 @@ class PixelCopies(PixelLayer):
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
+        if setup.options.drive == ACTION:
+            raise DistractorError(
+                f'distractor_options.drive = "{ACTION}" is for states; frames have copies of their own drive'
+            )
         self._systems = WanderingSystems(setup)
         grid = max(2, math.ceil(math.sqrt(setup.options.copies)))
         side = setup.size // grid

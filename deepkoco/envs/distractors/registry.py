@@ -8,17 +8,17 @@ from typing import TypeVar
 from deepkoco.envs.distractors.background import background
 from deepkoco.envs.distractors.camera import CameraPose
 from deepkoco.envs.distractors.colour import ColourShift
-from deepkoco.envs.distractors.options import DistractorError, DistractorOptions, Setup
+from deepkoco.envs.distractors.options import Copied, DistractorError, DistractorOptions, Setup
 from deepkoco.envs.distractors.pixel_copies import PixelCopies
 from deepkoco.envs.distractors.sensor_noise import SensorNoise
-from deepkoco.envs.distractors.state_copies import StateCopies
+from deepkoco.envs.distractors.state_copies import state_copies
 from deepkoco.envs.distractors.state_noise import NoiseChannels
 from deepkoco.envs.distractors.state_source import StateSource
 from deepkoco.envs.distractors.video import video
 from deepkoco.envs.frames import Layer
 
 STATE: dict[str, Callable[[Setup], StateSource]] = {
-    "copies": StateCopies,
+    "copies": state_copies,
     "noise": NoiseChannels,
     "projection": NoiseChannels,  # the rotation of all entries together is the wrapper's
 }
@@ -70,9 +70,10 @@ def make_distractors(
     text: str,
     batch: int,
     options: DistractorOptions,
-    system: str,
+    system: Copied,
     split: str,
     size: int = 64,
+    actions: int = 1,
 ) -> dict[str, Made]:
     """Make the distractors of a batch of environments.
 
@@ -81,9 +82,10 @@ def make_distractors(
         text: Which of them; see `parse_distractors`.
         batch: Environments B.
         options: Of all of them.
-        system: Name of a task of ours, for copies.
+        system: What copies are of.
         split: "train" or "evaluation".
         size: Side of a frame [pixels].
+        actions: Entries M of the agent's action.
 
     Returns:
         The distractors by name.
@@ -100,5 +102,5 @@ def make_distractors(
     made = {}
     for name in names:
         intensity = options.intensities.get(name, options.intensity)
-        made[name] = registry[name](Setup(name, batch, intensity, system, options, split, size))
+        made[name] = registry[name](Setup(name, batch, intensity, system, actions, options, split, size))
     return made

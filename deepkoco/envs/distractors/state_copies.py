@@ -6,12 +6,27 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from deepkoco.envs.distractors.drives import ACTION, check_drive
+from deepkoco.envs.distractors.environment_copies import ActedCopies, RecordedCopies
 from deepkoco.envs.distractors.options import Setup
+from deepkoco.envs.distractors.state_source import StateSource
 from deepkoco.envs.distractors.wandering import WanderingSystems
 
 
+def state_copies(setup: Setup) -> StateSource:
+    """Copies of a task of ours, stepped as one batch, or of any environment.
+
+    Raises:
+        DistractorError: There is no such task or drive, or the environment cannot be copied.
+    """
+    check_drive(setup.options.drive)
+    if isinstance(setup.system, str):
+        return StateCopies(setup)
+    return ActedCopies(setup) if setup.options.drive == ACTION else RecordedCopies(setup)
+
+
 class StateCopies:
-    """The observations of systems that have nothing to do with the task, times the intensity.
+    """The observations of further systems of a task of ours, times the intensity.
 
     Source: thesis ch. 5 (distractor pendulums).
     """
@@ -33,9 +48,9 @@ class StateCopies:
         """Start new episodes in the environments ``where`` (B,) bool, by default in all."""
         self.systems.restart(where)
 
-    def advance(self) -> None:
+    def advance(self, drives: np.ndarray) -> None:
         """Go on by one step."""
-        self.systems.advance()
+        self.systems.advance(drives)
 
     def observe(self) -> np.ndarray:
         """Entries (B, W) float32."""

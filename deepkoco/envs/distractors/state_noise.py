@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import cv2
 import numpy as np
 
+from deepkoco.envs.distractors.bars import draw_bars
 from deepkoco.envs.distractors.options import Setup
-
-COLOUR = (38, 84, 124)
 
 
 class NoiseChannels:
@@ -35,8 +33,9 @@ class NoiseChannels:
         values = self._draw()
         self._values = values if where is None else np.where(where[:, None], values, self._values)
 
-    def advance(self) -> None:
-        """Draw new values."""
+    def advance(self, drives: np.ndarray) -> None:
+        """Draw new values, whatever the agent does."""
+        del drives
         self._values = self._draw()
 
     def observe(self) -> np.ndarray:
@@ -45,14 +44,7 @@ class NoiseChannels:
 
     def draw(self, environment: int, size: int) -> list[np.ndarray]:
         """One picture of the values as bars between -3 and 3, uint8 (size, size, 3)."""
-        picture = np.full((size, size, 3), 235, np.uint8)
-        values = self.observe()[environment]
-        edges = np.linspace(2, size - 2, len(values) + 1)
-        heights = size / 2 - np.clip(values / 3.0, -1.0, 1.0) * (size / 2 - 2)
-        for left, right, height in zip(edges[:-1], edges[1:], heights, strict=True):
-            corner = (max(round(right) - 2, round(left)), round(height))
-            cv2.rectangle(picture, (round(left), size // 2), corner, COLOUR, -1)
-        return [picture]
+        return [draw_bars(self.observe()[environment], size)]
 
     def _draw(self) -> np.ndarray:
         return self._generator.standard_normal(self._shape, np.float32)

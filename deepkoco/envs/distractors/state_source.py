@@ -24,8 +24,12 @@ class StateSource(Protocol):
         """Start new episodes in the environments ``where`` (B,) bool, by default in all."""
         ...
 
-    def advance(self) -> None:
-        """Go on by one step."""
+    def advance(self, drives: np.ndarray) -> None:
+        """Go on by one step.
+
+        Args:
+            drives: The agent's action (B, M), from -1 at its lower limits to 1 at its upper ones.
+        """
         ...
 
     def observe(self) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Distractors of states: further entries of the observation that have nothing to do with the task."""
+"""Distractors of states: further entries of the observation that do not act on the task."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space
 
-from deepkoco.envs.distractors.options import DistractorOptions
+from deepkoco.envs.distractors.copied import resolve_copied
+from deepkoco.envs.distractors.options import ITSELF, Copied, DistractorOptions
 from deepkoco.envs.distractors.projection import random_rotation
 from deepkoco.envs.distractors.registry import STATE, make_distractors
 from deepkoco.envs.restarts import Restarts, as_objects, rows_of
@@ -27,11 +29,11 @@ class Mixer:
     The entries are appended, with ``projection`` rotated all together, and shuffled once per run.
 
     Args:
-        space: Of the task's observation (N,).
+        env: The environment, or a batch of them.
         distractors: Names joined by "+".
         batch: Environments B.
         options: Of the distractors.
-        system: Name of a task of ours, for copies.
+        system: What copies are of; see `StateDistractors`.
         shuffle_seed: Seed of order and rotation, one per run.
         split: "train" or "evaluation".
 
@@ -44,17 +46,23 @@ class Mixer:
 
     def __init__(
         self,
-        space: spaces.Space,
+        env: gymnasium.Env | VectorEnv,
         distractors: str,
         batch: int,
         options: DistractorOptions | None,
-        system: str,
+        system: Copied,
         shuffle_seed: int,
         split: str,
     ) -> None:
+        batched = isinstance(env, VectorEnv)
+        space = env.single_observation_space if batched else env.observation_space
+        acted = env.single_action_space if batched else env.action_space
         assert isinstance(space, spaces.Box)
         options = options or DistractorOptions()
-        self.sources = make_distractors(STATE, distractors, batch, options, system, split)
+        self._actions = acted if isinstance(acted, spaces.Box) and acted.is_bounded() else None
+        entries = 0 if self._actions is None else self._actions.shape[0]
+        copied = resolve_copied(system, env)
+        self.sources = make_distractors(STATE, distractors, batch, options, copied, split, actions=entries)
         bounds = [source.bounds for source in self.sources.values()]
         low = np.concatenate([space.low, *(-b for b in bounds)])
         high = np.concatenate([space.high, *bounds])
@@ -84,10 +92,14 @@ class Mixer:
         for source in self.sources.values():
             source.restart(where)
 
-    def advance(self) -> None:
-        """Go on by one step."""
+    def advance(self, actions: np.ndarray) -> None:
+        """Go on by one step under the agent's actions (B, M)."""
+        drives = np.zeros((len(actions), 0))
+        if self._actions is not None:
+            low, high = self._actions.low, self._actions.high
+            drives = 2.0 * (np.asarray(actions, np.float64) - low) / (high - low) - 1.0
         for source in self.sources.values():
-            source.advance()
+            source.advance(drives)
 
     def mix(self, observations: np.ndarray) -> np.ndarray:
         """Observations (B, W) float32 of the task's (B, N)."""
@@ -109,18 +121,19 @@ class Mixer:
         return np.concatenate(rows, 0)
 
 
-class StateDistractors(gymnasium.Wrapper):
+class StateDistractors(gymnasium.Wrapper, RecordConstructorArgs):
     """Adds entries to the observation of an environment that have nothing to do with the task, shuffled.
 
-    They neither act on the task nor feel the action. ``reset(seed=...)`` seeds them too, from streams of their
-    own; order and projection depend on ``shuffle_seed`` alone. At intensity 0 the task's entries are as
-    without distractors, bit for bit, and the others are zero.
+    They do not act on the task, and feel the action with the drive "action" alone. ``reset(seed=...)`` seeds them
+    too, from streams of their own; order and projection depend on ``shuffle_seed`` alone. At intensity 0 the task's
+    entries are as without distractors, bit for bit, and the others are zero.
 
     Args:
         env: Environment with a flat Box observation.
         distractors: ``copies``, ``noise``, ``projection``, or several joined by "+".
         options: Of the distractors.
-        system: Name of the task of ours that copies are of.
+        system: What copies are of: "itself", further environments like ``env``; the name of a task of ours; or what
+            makes one more environment.
         shuffle_seed: Seed of the order, one per run.
         split: "train" or "evaluation".
 
@@ -133,12 +146,20 @@ class StateDistractors(gymnasium.Wrapper):
         env: gymnasium.Env,
         distractors: str = "copies",
         options: DistractorOptions | None = None,
-        system: str = "rod_pendulum",
+        system: Copied = ITSELF,
         shuffle_seed: int = 0,
         split: str = "train",
     ) -> None:
-        super().__init__(env)
-        self.mixer = Mixer(env.observation_space, distractors, 1, options, system, shuffle_seed, split)
+        RecordConstructorArgs.__init__(
+            self,
+            distractors=distractors,
+            options=options,
+            system=system,
+            shuffle_seed=shuffle_seed,
+            split=split,
+        )
+        gymnasium.Wrapper.__init__(self, env)
+        self.mixer = Mixer(env, distractors, 1, options, system, shuffle_seed, split)
         self.observation_space = self.mixer.space
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
@@ -148,7 +169,7 @@ class StateDistractors(gymnasium.Wrapper):
 
     def step(self, action):
         observation, reward, terminated, truncated, info = self.env.step(action)
-        self.mixer.advance()
+        self.mixer.advance(np.asarray(action)[None])
         return self.mixer.mix(observation[None])[0], reward, terminated, truncated, info
 
     def render(self):
@@ -169,13 +190,13 @@ class VectorStateDistractors(VectorWrapper):
         env: VectorEnv,
         distractors: str = "copies",
         options: DistractorOptions | None = None,
-        system: str = "rod_pendulum",
+        system: Copied = ITSELF,
         shuffle_seed: int = 0,
         split: str = "train",
     ) -> None:
         super().__init__(env)
-        space, count = env.single_observation_space, env.num_envs
-        self.mixer = Mixer(space, distractors, count, options, system, shuffle_seed, split)
+        count = env.num_envs
+        self.mixer = Mixer(env, distractors, count, options, system, shuffle_seed, split)
         self.single_observation_space = self.mixer.space
         self.observation_space = batch_space(self.mixer.space, count)
         self._restarts = Restarts(env)
@@ -189,7 +210,7 @@ class VectorStateDistractors(VectorWrapper):
 
     def step(self, actions):
         observation, reward, terminated, truncated, info = self.env.step(actions)
-        self.mixer.advance()
+        self.mixer.advance(np.asarray(actions))
         ended, begun = self._restarts.after_step(terminated, truncated)
         if self._restarts.same_step and (last := rows_of(info, ended)) is not None:
             numbers, rows = last

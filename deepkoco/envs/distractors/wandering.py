@@ -3,53 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import torch
-from torch import Tensor
 
+from deepkoco.envs.distractors.copied import find_copied
+from deepkoco.envs.distractors.drives import ACTION, DRIVES, check_drive
 from deepkoco.envs.distractors.options import DistractorError, Setup
-from deepkoco.envs.tasks import TASKS, FixedTask
 from deepkoco.systems import System, make_system, rk4_step
 
-OU_MEMORY = 0.85  # per control step
-OU_SPREAD = 0.85  # stationary standard deviation, per command limit
 LONGEST_STEP = 0.025  # of the integration [s]
-
-Drive = Callable[[Tensor, torch.Generator], Tensor]
-"""From the drives (B, K, M) of the step before, in command limits, to those of this step."""
-
-
-def ornstein_uhlenbeck(drive: Tensor, generator: torch.Generator) -> Tensor:
-    """A drive that wanders (Ornstein-Uhlenbeck); the thesis does not say how its distractors are driven."""
-    noise = torch.randn(drive.shape, generator=generator, dtype=torch.float64)
-    return OU_MEMORY * drive + OU_SPREAD * (1.0 - OU_MEMORY**2) ** 0.5 * noise
-
-
-def uniform(drive: Tensor, generator: torch.Generator) -> Tensor:
-    """A random policy: every command anew, uniform within the limits."""
-    return 2.0 * torch.rand(drive.shape, generator=generator, dtype=torch.float64) - 1.0
-
-
-DRIVES: dict[str, Drive] = {"ou": ornstein_uhlenbeck, "random": uniform}
-
-
-def find_copied(name: str) -> FixedTask:
-    """The task of a name, or the first one of the system of that name.
-
-    Raises:
-        DistractorError: There is none.
-    """
-    known = {key: task for key, task in TASKS.items() if isinstance(task, FixedTask)}
-    found = [task for key, task in known.items() if name in (key, task.system)]
-    if not found:
-        raise DistractorError(f'copies of "{name}": no such task or system; use one of {", ".join(known)}')
-    return known.get(name, found[0])
 
 
 class WanderingSystems:
-    """K systems per environment that neither act on the task nor feel the action.
+    """K systems per environment that do not act on the task.
+
+    They feel the agent's action with the drive "action" alone.
 
     Args:
         setup: Its ``system`` names the task, or the system of the task, that start states and observations are of.
@@ -61,15 +31,22 @@ class WanderingSystems:
     """
 
     def __init__(self, setup: Setup) -> None:
-        if setup.options.drive not in DRIVES:
+        check_drive(setup.options.drive)
+        if not isinstance(setup.system, str):
             raise DistractorError(
-                f'distractor_options.drive = "{setup.options.drive}"; choose one of {", ".join(DRIVES)}'
+                "copies of this environment are entries of states; frames can hold copies of a task of this package: "
+                "give task.system=NAME"
             )
         self.task = find_copied(setup.system)
         self.scene: System = self.task.scene(make_system(self.task.system))
         self.batch, self.copies = setup.batch, setup.options.copies
-        self._setup, self._drive_by = setup, DRIVES[setup.options.drive]
+        self._setup, self._drive_by = setup, DRIVES.get(setup.options.drive)
         self._limits = torch.tensor(self.task.command_limits, dtype=torch.float64)
+        if self._drive_by is None and self._limits.numel() != setup.actions:
+            raise DistractorError(
+                f'distractor_options.drive = "{ACTION}": the agent has {setup.actions} actions, and '
+                f'"{setup.system}" takes {self._limits.numel()}; give the system of the task, or another drive'
+            )
         self._parameters = self.scene.default_parameters()
         period = 1.0 / self.task.control_rate
         self._substeps = math.ceil(period / LONGEST_STEP - 1e-9)
@@ -92,9 +69,18 @@ class WanderingSystems:
         self._state = torch.where(mask, start, self._state)
         self._drive = torch.where(mask, 0.0, self._drive)
 
-    def advance(self) -> None:
-        """Go on by one control period."""
-        self._drive = self._drive_by(self._drive, self._generator)
+    def advance(self, drives: np.ndarray | None = None) -> None:
+        """Go on by one control period.
+
+        Args:
+            drives: The agent's action (B, M) in shares of its limits; copies with a drive of their own do without.
+        """
+        if self._drive_by is not None:
+            self._drive = self._drive_by(self._drive, self._generator)
+        else:
+            assert drives is not None
+            acted = torch.as_tensor(drives, dtype=torch.float64)
+            self._drive = acted[:, None].expand_as(self._drive)
         command = self.scene.effort_of(self._limits * self._drive.clamp(-1.0, 1.0))
         effort = self.scene.actuate(command, self._parameters)
         for _ in range(self._substeps):

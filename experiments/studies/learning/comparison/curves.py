@@ -95,6 +95,8 @@ def learning_curves(table: pd.DataFrame, points: int = POINTS) -> pd.DataFrame:
         unfinished = sum(not rows["finished"].iloc[0] for rows in runs)
         for axis in AXES:
             x = grid if axis == "steps" else np.median(at_grid(axis), axis=0)
+            if np.isnan(x).all():  # runs of earlier releases did not measure it
+                continue
             counts = {"seeds": len(runs), "unfinished": unfinished}
             frames.append(pd.DataFrame({**names, "axis": axis, "x": x, **drawn, **counts}))
     if not frames:

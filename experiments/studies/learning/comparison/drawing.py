@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import matplotlib
@@ -40,25 +40,32 @@ def method_label(agent: str, variant: str) -> str:
     return method_style(agent).label + (f" ({variant})" if variant else "")
 
 
-def draw(curves: pd.DataFrame, references: Mapping[str, References | None], path: Path) -> None:
+def draw(
+    curves: pd.DataFrame,
+    references: Mapping[str, References | None],
+    path: Path,
+    chosen: Sequence[str] = ("episodes", "steps", "updates", "seconds"),
+) -> None:
     """Draw interquartile means with their bands, the optimum and a random policy.
 
     Args:
         curves: As given by `curves.learning_curves`.
         references: By task; the tasks are drawn in this order.
         path: PNG to write, all or nothing.
+        chosen: The axes, a column each.
     """
     panels = {tuple(names.values()): own for names, own in groups(curves, PANEL)}
     tasks = list(references)
     order = sorted(panels, key=lambda panel: (tasks.index(panel[0]), panel[2] != "none", panel))
     with plt.rc_context(fname=STYLE):
-        size = (3.3 * len(AXES), 2.9 * len(panels))
-        figure, axes = plt.subplots(len(panels), len(AXES), figsize=size, sharey="row", squeeze=False)
+        size = (3.3 * len(chosen), 2.9 * len(panels))
+        figure, axes = plt.subplots(len(panels), len(chosen), figsize=size, sharey="row", squeeze=False)
         for panel, row in zip(order, axes, strict=True):
             by_axis = {names["axis"]: own for names, own in groups(panels[panel], ["axis"])}
-            for (name, label), axis in zip(AXES.items(), row, strict=True):
-                _draw_panel(axis, by_axis[name], references[panel[0]])
-                axis.set_xlabel(label)
+            for name, axis in zip(chosen, row, strict=True):
+                if name in by_axis:
+                    _draw_panel(axis, by_axis[name], references[panel[0]])
+                axis.set_xlabel(AXES[name])
             row[0].set(title=panel_title(*panel), ylabel="noise-free cost of an episode")
             row[-1].legend(fontsize=7.5, loc="upper left", bbox_to_anchor=(1.0, 1.0))
         with whole_file(path) as partial:

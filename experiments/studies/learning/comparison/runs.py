@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from deepkoco.runs.aggregate import ABSENT
@@ -22,7 +23,10 @@ AXES = {
     "steps": "environment steps",
     "updates": "updates",
     "seconds": "wall-clock time [s]",
+    "processor_seconds": "processor time [s]",
 }
+YOUNGER = ("processor_seconds",)
+"""Axes that runs of earlier releases did not measure: NaN there."""
 METRICS_FILE = "metrics.csv"
 PANEL = ["task", "observation", "distractors"]
 METHOD = ["agent", "variant"]
@@ -77,7 +81,7 @@ def find_runs(folders: Sequence[Path], unfinished: bool) -> list[ComparedRun]:
         if not paths:
             raise ExperimentError(f"{folder}: no run below it; give folders that hold training runs")
         for path in paths:
-            run = _read(path, _name(path, folder))
+            run = read_run(path, _name(path, folder))
             if run.finished or unfinished:
                 found.setdefault(path.resolve(), run)
             else:
@@ -97,12 +101,22 @@ def _name(run: Path, given: Path) -> str:
     return (Path(given.resolve().name) / run.relative_to(given)).as_posix()
 
 
-def _read(folder: Path, name: str) -> ComparedRun:
+def read_run(folder: Path, name: str) -> ComparedRun:
+    """Read one run.
+
+    Args:
+        folder: Of the run.
+        name: As the results are to name it.
+
+    Raises:
+        ExperimentError: Its settings or metrics cannot be read.
+    """
     config = load_run_config(folder)
     try:
         rows = pd.read_csv(folder / METRICS_FILE)
     except (OSError, ValueError) as error:
         raise ExperimentError(f"{folder / METRICS_FILE}: {' '.join(str(error).split())}") from error
+    rows = rows.assign(**{name: np.nan for name in YOUNGER if name not in rows})
     if missing := [name for name in KEPT if name not in rows]:
         raise ExperimentError(
             f"{folder / METRICS_FILE}: no column {', '.join(missing)}; not the metrics of a run"

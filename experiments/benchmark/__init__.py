@@ -1,0 +1,1 @@
+"""A grid of agents, tasks, distractors and seeds: trained, resumed and put into one table."""
