@@ -23,8 +23,8 @@ class Deck(Node):
 
     Output: a `DeckPose` in parts.
 
-    The start draws heading, slope and turn rate, the last as a multiple of its standard deviation; incline and speed are
-    zero unless the reset gives others, as `deck_start` makes them.
+    The start draws heading, slope and turn rate, the last as a multiple of its standard deviation. Incline and speed
+    are zero unless the reset gives others, as `deck_start` makes them.
 
     Args:
         rate: Ticks per second [Hz].

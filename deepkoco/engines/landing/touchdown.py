@@ -14,7 +14,7 @@ NUMBER, VECTOR = ((), torch.float64), ((3,), torch.float64)
 VECTORS = ("way", "closing", "axis", "normal")
 TOLD = ("offset", "sink", "slip", "tilt")
 """What is told of a touch-down, see `Meeting`."""
-SHOWN = ("way", "closing", "normal", "touched", *TOLD)
+SHOWN = ("way", "closing", "normal", "lean", "touched", *TOLD)
 
 
 class Touchdown(Node):
@@ -22,9 +22,9 @@ class Touchdown(Node):
 
     Inputs: ``world``, a `Flight`, and ``deck``, a `Deck`. A deck of another rate is carried on to the time of the body.
 
-    Output, in parts: of now ``way`` and ``closing`` (B, 3), see `deepkoco.systems.landing.touchdown.relative`, and
-    ``normal`` (B, 3); and (B,) each, ``touched`` (0 or 1) and of the touch-down ``offset``, ``sink``, ``slip`` and
-    ``tilt``, see `Meeting`; zero before.
+    Output, in parts: of now ``way`` and ``closing`` (B, 3), see `deepkoco.systems.landing.touchdown.relative`,
+    ``normal`` (B, 3), and ``lean`` (B,), the angle between thrust axis and normal; and (B,) each, ``touched`` (0 or 1)
+    and of the touch-down ``offset``, ``sink``, ``slip`` and ``tilt``, see `Meeting`; zero before.
 
     Args:
         rate: Ticks per second [Hz], as fast as the world: slower ones see the motion in coarser lines.
@@ -45,6 +45,7 @@ class Touchdown(Node):
         return {
             **before,
             "begun": torch.zeros(batch, dtype=torch.bool),
+            "lean": zero,
             **{name: zero.clone() for name in ("touched", *TOLD)},
         }
 
@@ -72,6 +73,7 @@ class Touchdown(Node):
         after = {
             **now,
             "begun": torch.ones_like(state["begun"]),
+            "lean": meeting(*(now[name] for name in VECTORS)).tilt,
             "touched": torch.where(touches, 1.0, state["touched"]),
             **{name: torch.where(touches, getattr(met, name), state[name]) for name in TOLD},
         }

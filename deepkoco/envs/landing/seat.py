@@ -27,9 +27,11 @@ BOUNDS = (*(2.0 * FAR,) * 3, *(10.0,) * 3, 1.5, 1.5, *(3.0,) * 2, 2.0 * FAR)
 class LandingSeat(Supervisor):
     """Sends thrust, roll and pitch, (B, 3), until the body has touched the deck or left the room.
 
-    The cost of a step is ``hurry`` and ``approach`` times the distance from the deck [m]. A touch-down ends the
-    episode; it costs the sum of the squares of offset, sink, slip and tilt, each over its limit and at most ``worst``,
-    and ``failure`` more if it is no landing. Hitting the ground or leaving the room ends it too, and costs ``crash``.
+    The cost of a step is ``hurry``, ``approach`` times the distance from the deck [m], and ``align`` times the square
+    of the angle between thrust axis and normal over its limit, times exp(-(distance / ``near``)^2): a body in the wrong
+    attitude stays away from the deck until it comes to land. A touch-down ends the episode; it costs the sum of the
+    squares of offset, sink, slip and tilt, each over its limit and at most ``worst``, and ``failure`` more if it is no
+    landing. Hitting the ground or leaving the room ends it too, and costs ``crash``.
 
     Readings: ``observation`` (B, 11 + 3 history) along the axes of the world, as the commands are: the measured way
     from the centre of the deck and the velocity against it, the horizontal part of its normal, its velocity along x and
@@ -42,7 +44,7 @@ class LandingSeat(Supervisor):
         idle: Command (3,) that is held before the first one.
         history: How many past actions the observation has.
         limits: What a landing is.
-        hurry, approach, worst, failure, crash: Of the cost, see above; ``approach`` per metre.
+        hurry, approach, align, near, worst, failure, crash: Of the cost, see above; ``approach`` [1/m], ``near`` [m].
     """
 
     inputs = ("sensor", "deck_sensor", "touchdown")
@@ -54,15 +56,17 @@ class LandingSeat(Supervisor):
         idle: Tensor,
         history: int,
         limits: TouchdownLimits = LIMITS,
-        hurry: float = 0.1,
+        hurry: float = 0.3,
         approach: float = 0.1,
+        align: float = 0.1,
+        near: float = 0.3,
         worst: float = 3.0,
         failure: float = 6.0,
         crash: float = 60.0,
     ) -> None:
         super().__init__("agent", rate, initial_action=idle, phase=0)
         self.history, self.limits = history, limits
-        self.hurry, self.approach, self.worst = hurry, approach, worst
+        self.hurry, self.approach, self.align, self.near, self.worst = hurry, approach, align, near, worst
         self.failure, self.crash = failure, crash
 
     def init(self, parameters: Parameters, generator: torch.Generator, batch: int) -> State:
@@ -86,7 +90,13 @@ class LandingSeat(Supervisor):
         lands = touched & succeeded(met, self.limits)
         left = outside(truth["way"], FAR, HIGH) & ~touched
         distance = torch.sqrt((truth["way"] * truth["way"]).sum(-1))
-        cost = self.hurry + self.approach * distance + torch.where(left, self.crash, 0.0)
+        close = torch.exp(-((distance / self.near) ** 2))
+        cost = (
+            self.hurry
+            + self.approach * distance
+            + self.align * close * (truth["lean"] / self.limits.tilt) ** 2
+        )
+        cost = cost + torch.where(left, self.crash, 0.0)
         cost = cost + torch.where(touched, self._paid(met) + torch.where(lands, 0.0, self.failure), 0.0)
         readings = {
             "observation": observation,

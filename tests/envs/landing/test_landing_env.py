@@ -61,7 +61,8 @@ def test_rest_on_an_aligned_deck_is_a_landing(incline: float, speed: float):
     assert terminated
     assert info["success"]
     assert [info[n] for n in ("offset", "sink", "slip", "tilt")] == pytest.approx([0.0] * 4, abs=1e-6)
-    assert reward == pytest.approx(-0.1, abs=0.01)
+    # Nothing but the time that it took.
+    assert reward == pytest.approx(-env.batch.graph.node("agent").hurry, abs=0.02)
 
 
 def test_a_level_body_on_a_steep_deck_is_no_landing():
@@ -103,7 +104,7 @@ def test_beside_the_deck_there_is_nothing_until_the_ground():
     assert 0.28 < 0.02 * len(rewards) < 0.45
     assert rewards[-1] < -60.0
     assert max(rewards[:-1]) < 0.0
-    assert min(rewards[:-1]) > -0.5
+    assert min(rewards[:-1]) > -1.0
 
 
 def test_after_a_touch_down_the_motors_stop():
