@@ -22,7 +22,7 @@ WORLD_RATE, CONTROL_RATE = 100.0, 50.0
 DECK_DELAY = 0.05
 """Of a measured deck: a camera's picture, or a radio [s]."""
 SPEED_LIMIT = 5.0  # of the body, along each axis [m/s]
-START = ((-1.0, 1.0), (-1.0, 1.0), (0.5, 1.2))
+START = ((-0.7, 0.7), (-0.7, 0.7), (0.4, 1.0))
 """Where the body starts, from the centre of the deck along x, y and z [m]."""
 START_SPEED = 0.5
 """Its speed at the start lies within this along each axis [m/s]."""

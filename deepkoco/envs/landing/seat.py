@@ -56,7 +56,7 @@ class LandingSeat(Supervisor):
         idle: Tensor,
         history: int,
         limits: TouchdownLimits = LIMITS,
-        hurry: float = 0.3,
+        hurry: float = 0.4,
         approach: float = 0.1,
         align: float = 0.1,
         near: float = 0.3,

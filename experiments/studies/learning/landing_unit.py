@@ -25,7 +25,7 @@ DECK_NOISE = np.repeat((0.005, 0.02, 0.01), 3)  # place [m], velocity [m/s], com
 TURN_SPREAD, TURN_TIME = 0.4, 1.0  # of the turn rate of a deck [rad/s], and over which it is forgotten [s]
 LATENESS = 0.005  # spread of the delays of single measurements [s]
 FLIGHT_STEPS = 200
-ALTITUDES, AROUND, FIRST_SPEED = (0.5, 1.2), 1.0, 0.5  # of the start over the deck and beside it [m], [m/s]
+ALTITUDES, AROUND, FIRST_SPEED = (0.4, 1.0), 0.7, 0.5  # of the start over the deck and beside it [m], [m/s]
 
 
 class LandingUnits(VectorEnv):
