@@ -88,19 +88,12 @@ def test_a_level_controller_does_not_land_on_a_steep_deck():
     assert not any(row["success"] for row in rows)
 
 
-def stored_run(seed: int) -> dict:
+def stored_run(method: str, seed: int) -> dict:
     cells = [(i, v) for i in (0.0, np.radians(25.0)) for v in (0.0, 1.0)]
-    landings = {
-        method: [
-            {
-                "incline": i, "speed": v, "success": good, "touched": True, "time": 1.0,
-                "offset": 0.1, "sink": 0.3, "slip": 0.2, "tilt": 0.1,
-            }
-            for i, v in cells
-            for _ in range(2)
-        ]
-        for method, good in (("level", False), ("without", False), ("delays", True))
-    }  # fmt: skip
+    one = {"touched": True, "time": 1.0, "offset": 0.1, "sink": 0.3, "slip": 0.2, "tilt": 0.1}
+    landings = [
+        {"incline": i, "speed": v, "success": method == "delays", **one} for i, v in cells for _ in range(2)
+    ]
     steps, decks = 6, len(runs.FILMED)
     film = {
         "place": np.tile([0.0, 0.0, 0.4], (steps, decks, 1)).tolist(),
@@ -109,16 +102,17 @@ def stored_run(seed: int) -> dict:
         "axis": np.tile([0.0, 0.1, 0.995], (steps, decks, 1)).tolist(),
         "touched": np.repeat([[0.0], [0.0], [0.0], [0.0], [1.0], [1.0]], decks, 1).tolist(),
     }
-    trainings = {method: {"cost": 8.0, "steps": 10, "cpu_seconds": 40.0 + seed} for method in runs.METHODS}
+    training = {"cost": 8.0, "steps": 10, "cpu_seconds": 40.0 + seed}
     return {
-        "seed": seed, "fit_cpu_seconds": 1.0, "cpu_seconds": 50.0, "commit": "abc", "landings": landings,
-        "trainings": trainings, "films": dict.fromkeys(study.LABELS, film),
+        "method": method, "seed": seed, "fit_cpu_seconds": 1.0, "cpu_seconds": 50.0, "commit": "abc",
+        "landings": landings, "training": training, "film": film,
     }  # fmt: skip
 
 
 def test_results_become_tables_maps_and_a_film(tmp_path):
-    for seed in (0, 1):
-        (tmp_path / f"unit_{seed}.json").write_text(json.dumps(stored_run(seed)))
+    for method in study.LABELS:
+        for seed in (0, 1):
+            (tmp_path / f"{method}_{seed}.json").write_text(json.dumps(stored_run(method, seed)))
     found, landings = study.tables(tmp_path)
     cells = study.success_map(landings)
     steep = cells[(cells["method"] == "delays") & (cells["incline_deg"] == 25.0) & (cells["speed"] == 1.0)]
@@ -128,6 +122,6 @@ def test_results_become_tables_maps_and_a_film(tmp_path):
     assert "| trained with delays | 1.00 [0.81, 1.00], seeds 1.00 to 1.00 |" in text
     assert "delays: 40 to 41 processor seconds a training" in text
     assert len(study.draw_maps(cells).axes) == 4
-    films = study.films_of(stored_run(0))
+    films = study.films_of(tmp_path, 0)
     assert len(study.draw_strip(films, 2).axes) == 3 * study.SHOWN
     assert study.frames(films)[0].shape == (3 * study.SIZE, 3 * study.SIZE, 3)

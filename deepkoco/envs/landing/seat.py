@@ -20,8 +20,10 @@ SCALE = (0.5 * FULL_THRUST, STEEPEST, STEEPEST)
 """An action of [-1, 1] times the scale, and the centre, is a command: thrust [N], roll and pitch [rad]."""
 FAR, HIGH = 2.5, 2.0
 """The room about the deck: along x and y, and above [m]."""
-BOUNDS = (*(2.0 * FAR,) * 3, *(10.0,) * 3, 1.5, 1.5, *(3.0,) * 2, 2.0 * FAR)
-"""Symmetric bounds of an observation without past actions: way, velocity, normal, velocity of the deck, height."""
+BOUNDS = (*(2.0 * FAR,) * 3, *(10.0,) * 3, 1.5, 1.5, *(3.0,) * 2, 2.0 * FAR, 1.5, 1.5)
+"""Symmetric bounds of an observation without past actions: way, velocity, normal, velocity of the deck, height, and
+the normal once more where it is close."""
+NEAR = 0.3  # about within this distance the attitude of the deck matters [m]
 
 
 class LandingSeat(Supervisor):
@@ -33,11 +35,12 @@ class LandingSeat(Supervisor):
     squares of offset, sink, slip and tilt, each over its limit and at most ``worst``, and ``failure`` more if it is no
     landing. Hitting the ground or leaving the room ends it too, and costs ``crash``.
 
-    Readings: ``observation`` (B, 11 + 3 history) along the axes of the world, as the commands are: the measured way
+    Readings: ``observation`` (B, 13 + 3 history) along the axes of the world, as the commands are: the measured way
     from the centre of the deck and the velocity against it, the horizontal part of its normal, its velocity along x and
-    y, and the height over its plane; then the past actions, newest first. ``reward``; ``terminated``; of the truth,
-    (B,) each, ``touched``, ``success``, ``offset``, ``sink``, ``slip`` and ``tilt`` of the touch-down (0 before), and
-    ``distance`` from the deck [m].
+    y, the height over its plane, and the horizontal part of the normal times exp(-(distance / 0.3 m)^2), so that to
+    tilt close to the deck only is linear in what is seen; then the past actions, newest first. ``reward``;
+    ``terminated``; of the truth, (B,) each, ``touched``, ``success``, ``offset``, ``sink``, ``slip`` and ``tilt`` of
+    the touch-down (0 before), and ``distance`` from the deck [m].
 
     Args:
         rate: Decisions per second [Hz].
@@ -59,7 +62,7 @@ class LandingSeat(Supervisor):
         hurry: float = 0.4,
         approach: float = 0.1,
         align: float = 0.1,
-        near: float = 0.3,
+        near: float = NEAR,
         worst: float = 3.0,
         failure: float = 6.0,
         crash: float = 60.0,
@@ -119,10 +122,11 @@ class LandingSeat(Supervisor):
 
 
 def observed(body: Tensor, place: Tensor, velocity: Tensor, normal: Tensor) -> Tensor:
-    """What an agent sees (..., 11) of a measured body (..., 6) and of a deck's place, velocity and normal (..., 3)."""
+    """What an agent sees (..., 13) of a measured body (..., 6) and of a deck's place, velocity and normal (..., 3)."""
     way = body[..., :3] - place
     closing = body[..., 3:6] - velocity
     height = (way * normal).sum(-1)
-    parts = torch.cat([way, closing, normal[..., :2], velocity[..., :2], height[..., None]], -1)
+    close = torch.exp(-(way * way).sum(-1) / NEAR**2)[..., None] * normal[..., :2]
+    parts = torch.cat([way, closing, normal[..., :2], velocity[..., :2], height[..., None], close], -1)
     entries = [part.clamp(-bound, bound) for part, bound in zip(parts.unbind(-1), BOUNDS, strict=True)]
     return torch.stack(entries, -1)

@@ -1,6 +1,6 @@
-"""One unit of the study of landings: it is identified, policies are trained for it and flown on it.
+"""One way of landing a unit of the study of landings: it is identified, a policy is trained for it and flown on it.
 
-    python -m experiments.studies.learning.landing_runs unit 0 result.json
+    python -m experiments.studies.learning.landing_runs delays 0 result.json
 
 Each is a process of its own, so that its processor time is all that it took: imports, compilation, identification,
 training and flights.
@@ -46,7 +46,7 @@ SPREAD, DELAY_SPREAD = 0.05, 0.006  # parameters vary by this share about their 
 DECK_SPREAD = 0.02  # the delay of the deck is known to this [s]
 INCLINES = tuple(np.radians((0.0, 5.0, 10.0, 15.0, 20.0, 25.0)).tolist())  # [rad]
 SPEEDS = (0.0, 0.25, 0.5, 0.75, 1.0)  # [m/s]
-FLIGHTS = 40  # of each cell
+FLIGHTS = 20  # of each cell
 FILMED = ((0.0, 0.5), (INCLINES[3], 0.5), (INCLINES[5], 1.0))  # incline [rad], speed [m/s]
 TOLD = ("offset", "sink", "slip", "tilt")
 GAINS = (3.0, 3.0)  # of the controller tuned by hand: place [1/s2], velocity [1/s]
@@ -108,7 +108,9 @@ def make_simulation(method: str, values: Mapping[str, float], late: float) -> Ca
         ranges["deck_sensor->agent"] = (late - DECK_SPREAD, late + DECK_SPREAD)
 
     def make(count: int, seed: int) -> VectorEnv:
-        return LandingVectorEnv(count, FLIGHT_STEPS, action_history=HISTORY, deck_delay=0.0, randomize=ranges)
+        return LandingVectorEnv(
+            count, FLIGHT_STEPS, action_history=HISTORY, deck_delay=0.0, randomize=ranges, delay_traces=64
+        )
 
     return make
 
@@ -172,40 +174,40 @@ def _seen(info: Mapping[str, Any]) -> dict[str, np.ndarray]:
     return {name: info[name] for name in ("place", "deck", "normal", "axis", "touched")}
 
 
-def run(seed: int, episodes: int | None) -> dict[str, Any]:
-    """Identify a unit, train for it with each of the methods and land it on a grid of inclines and speeds.
+def run(method: str, seed: int, episodes: int | None) -> dict[str, Any]:
+    """Identify a unit, make what lands it, and land it on a grid of inclines and speeds.
 
     Args:
-        seed: Of the unit and the trainings.
+        method: One of `METHODS`, or `LEVEL`.
+        seed: Of the unit and the training.
         episodes: Of a training; None: as stored.
 
     Returns:
-        Estimates; of each training cost, steps and processor seconds; and of each method the landings.
+        The unit, what was identified, cost, steps and processor seconds of a training, the landings, and the filmed
+        ones step by step.
     """
     begun = time.process_time()
     true, late = make_unit(seed, FURTHER), deck_delay(seed)
     values = identified(true, seed)
     fitted = time.process_time() - begun
+    begun, last = time.process_time(), {"cost": float("nan"), "steps": 0.0}
+    if method == LEVEL:
+        controller: Controller = LevelLanding(values["mass"])
+    else:
+        controller, last = train(method, seed, values, late, episodes)
+    training = {**last, "cpu_seconds": time.process_time() - begun}
     first = derive_seed(seed, Purpose.FINAL_EVALUATION) % 2**31
-    cells = [(i, v) for i in INCLINES for v in SPEEDS for _ in range(FLIGHTS)]
-    trainings: dict[str, dict[str, float]] = {}
-    controllers: dict[str, Controller] = {LEVEL: LevelLanding(values["mass"])}
-    for method in METHODS:
-        begun = time.process_time()
-        controllers[method], last = train(method, seed, values, late, episodes)
-        trainings[method] = {**last, "cpu_seconds": time.process_time() - begun}
-    landings, films = {}, {}
-    for method, controller in controllers.items():
-        landings[method], _ = land(controller, true, late, cells, first)
-        _, steps = land(controller, true, late, FILMED, first)
-        films[method] = {name: np.array([s[name] for s in steps]).round(4).tolist() for name in steps[0]}
+    landings, _ = land(
+        controller, true, late, [(i, v) for i in INCLINES for v in SPEEDS for _ in range(FLIGHTS)], first
+    )
+    _, steps = land(controller, true, late, FILMED, first)
     return {
         "true": {**true, "deck_delay": late},
         "found": values,
         "fit_cpu_seconds": fitted,
-        "trainings": trainings,
+        "training": training,
         "landings": landings,
-        "films": films,
+        "film": {name: np.array([s[name] for s in steps]).round(4).tolist() for name in steps[0]},
     }
 
 
@@ -229,15 +231,15 @@ def train(
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Identify, train, land and write the result as JSON; returns the exit status."""
+    """Identify, train, land, and write the result as JSON; returns the exit status."""
     parser = argparse.ArgumentParser(description="Train policies for a hidden quadrotor and land it.")
-    parser.add_argument("kind", choices=["unit"])
+    parser.add_argument("kind", choices=[LEVEL, *METHODS])
     parser.add_argument("seed", type=int)
     parser.add_argument("out", type=Path, help="new file")
     parser.add_argument("--training", type=int, default=None, help="episodes of the training")
     args = parser.parse_args(arguments)
     torch.set_num_threads(1)
-    write_whole_text(args.out, json.dumps(run(args.seed, args.training)))
+    write_whole_text(args.out, json.dumps(run(args.kind, args.seed, args.training)))
     return 0
 
 

@@ -49,15 +49,14 @@ def tables(folder: Path) -> tuple[pd.DataFrame, pd.DataFrame]:
     runs, landings = [], []
     for path in sorted(folder.glob("*.json")):
         run = json.loads(path.read_text())
-        for method, rows in run["landings"].items():
-            landings += [{"method": method, "seed": run["seed"], **row} for row in rows]
-        for method, training in run["trainings"].items():
-            own = {
-                "cost": training["cost"],
-                "steps": training["steps"],
-                "training_cpu_seconds": training["cpu_seconds"],
-            }
-            runs.append({**run, "method": method, **own})
+        landings += [{"method": run["method"], "seed": run["seed"], **row} for row in run["landings"]]
+        training = run["training"]
+        own = {
+            "cost": training["cost"],
+            "steps": training["steps"],
+            "training_cpu_seconds": training["cpu_seconds"],
+        }
+        runs.append({**run, **own})
     columns = [
         "method",
         "seed",
@@ -117,9 +116,15 @@ def draw_maps(cells: pd.DataFrame) -> Figure:
     return figure
 
 
-def films_of(run: dict) -> dict[str, dict[str, np.ndarray]]:
-    """The filmed flights of a run by way: of each step (T) and deck (K) what `landing_runs` stored."""
-    return {name: {k: np.array(v, float) for k, v in run["films"][name].items()} for name in LABELS}
+def films_of(folder: Path, seed: int) -> dict[str, dict[str, np.ndarray]]:
+    """The filmed flights of a unit by way: of each step (T) and deck (K) what `landing_runs` stored.
+
+    Args:
+        folder: Of the results.
+        seed: Of the unit.
+    """
+    stored = {name: json.loads((folder / f"{name}_{seed}.json").read_text())["film"] for name in LABELS}
+    return {name: {k: np.array(v, float) for k, v in own.items()} for name, own in stored.items()}
 
 
 def frames(films: dict[str, dict[str, np.ndarray]]) -> list[np.ndarray]:
@@ -211,7 +216,7 @@ def summary(runs: pd.DataFrame, landings: pd.DataFrame) -> str:
         share = np.mean(np.asarray(own["touched"], float))
         lines.append(f"| {text}: median (nine of ten below) | {share:.2f} | {' | '.join(medians)} |")
     lines.append("")
-    for method, rows in runs.groupby("method"):
+    for method, rows in runs[runs["method"] != LEVEL].groupby("method"):
         seconds = rows["training_cpu_seconds"]
         lines.append(f"{method}: {seconds.min():.0f} to {seconds.max():.0f} processor seconds a training")
     return "\n".join(lines)
@@ -232,8 +237,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with writing(folder):
             folder.mkdir(parents=True, exist_ok=True)
         for seed in args.seeds:
-            run_once(RUNS, "unit", seed, folder, options)
-            print(f"seed {seed}", flush=True)
+            for method in LABELS:
+                run_once(RUNS, method, seed, folder, options)
+                print(f"{method}, seed {seed}", flush=True)
     except ExperimentError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
@@ -244,7 +250,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     cells.to_csv(args.out / "success.csv", index=False, float_format="%.4f")
     (args.out / "success.png").write_bytes(as_png(draw_maps(cells)))
     plt.close("all")
-    films = films_of(json.loads((folder / f"unit_{args.seeds[0]}.json").read_text()))
+    films = films_of(folder, args.seeds[0])
     (args.out / "film.png").write_bytes(as_png(draw_strip(films, len(FILMED) - 1)))
     (args.out / "film.webm").unlink(missing_ok=True)
     write_clip(args.out / "film.webm", frames(films), FPS)

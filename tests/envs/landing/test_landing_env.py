@@ -126,7 +126,7 @@ def test_many_at_once_are_registered_too():
     envs = gymnasium.make_vec(
         "deepkoco/InclinedLanding-v0", num_envs=3, vectorization_mode="vector_entry_point", executor="eager"
     )
-    assert envs.reset(seed=0)[0].shape == (3, 41)
+    assert envs.reset(seed=0)[0].shape == (3, 43)
     observation, reward, *_ = envs.step(envs.action_space.sample())
     assert envs.observation_space.contains(observation)
     assert (reward < 0.0).all()
