@@ -29,6 +29,9 @@ ENVIRONMENTS[ROBOT] = (200, {"world_rate": None})
 # A pool whose thermometer sits behind a pipe: the delay depends on the pump, which is an action.
 POOL, POOL_STEPS = "deepkoco/Pool-v0", 200
 
+# A quadrotor lands on an inclined deck that moves: 0 to 25 degrees, 0 to 1 m/s.
+LANDING, LANDING_STEPS = "deepkoco/InclinedLanding-v0", 200
+
 # A unit in virtual time, for policies that learn on it: task.id=deepkoco/Unit-v0 +task.kwargs.unit=UNIT.yaml
 UNIT, UNIT_STEPS = "deepkoco/Unit-v0", 200
 
@@ -48,13 +51,17 @@ def register_envs() -> None:
                 max_episode_steps=steps,
                 kwargs=arguments,
             )
-    if POOL not in gymnasium.registry:
-        gymnasium.register(
-            POOL,
-            entry_point="deepkoco.envs.pool.pool_env:PoolEnv",
-            vector_entry_point="deepkoco.envs.pool.pool_env:PoolVectorEnv",
-            max_episode_steps=POOL_STEPS,
-        )
+    for name, steps, kind in (
+        (POOL, POOL_STEPS, "pool.pool_env:Pool"),
+        (LANDING, LANDING_STEPS, "landing.landing_env:Landing"),
+    ):
+        if name not in gymnasium.registry:
+            gymnasium.register(
+                name,
+                entry_point=f"deepkoco.envs.{kind}Env",
+                vector_entry_point=f"deepkoco.envs.{kind}VectorEnv",
+                max_episode_steps=steps,
+            )
     if UNIT not in gymnasium.registry:
         # Not in wall-clock time: environments that are stepped one after the other would miss their ticks.
         gymnasium.register(

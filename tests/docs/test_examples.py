@@ -51,6 +51,7 @@ def test_examples_go_on_from_the_first_graph(
         "environments.md",
         "gradients.md",
         "hidden_cause.md",
+        "landing.md",
         pytest.param("logs.md", marks=pytest.mark.study),
         pytest.param("identify.md", marks=pytest.mark.study),
         "pages.md",

@@ -38,8 +38,8 @@ def test_a_unit_flies_as_the_simulator_does(monkeypatch):
 def test_a_unit_tells_its_true_distance_from_the_circle():
     unit = QuadrotorUnits({**NOMINAL, "mass": 0.03}, CIRCLES)
     unit.reset(seed=0)
-    unit._state[:, 2] = 0.3
-    unit._state[:, 0] += 0.4
+    unit._flight.state[:, 2] = 0.3
+    unit._flight.state[:, 0] += 0.4
     assert unit._info()["path_error"] == pytest.approx([0.5, 0.5])
 
 

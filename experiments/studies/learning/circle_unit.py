@@ -1,8 +1,4 @@
-"""Units of the study of circle following: quadrotors that share no code with the simulator, several at once.
-
-The motion is integrated in steps of 1 ms; every command has the delay of its kind and a jitter of its own, and never
-overtakes the one before.
-"""
+"""Units of the study of circle following: quadrotors that share no code with the simulator, several at once."""
 
 from __future__ import annotations
 
@@ -15,11 +11,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from deepkoco.envs.delay_env import DelayGraphVectorEnv
+from experiments.studies.learning.quadrotor_flight import JITTER, TICK, QuadrotorFlight
 
-STEP, TICK = 1e-3, 20  # [s], steps between two commands
-EARTH = 9.81  # [m/s2]
-NOISE = np.repeat((0.002, 0.02), 3)  # of places [m] and velocities [m/s]
-JITTER = 1e-3  # standard deviation of a delay [s]
 SIMULATION: dict[str, Any] = {"system": "quadrotor", "task": "quadrotor_circle"}
 
 
@@ -57,21 +50,15 @@ class QuadrotorUnits(VectorEnv):
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self._circles = np.array(circles, float)
-        p = true
-        self._lags = np.array([p["motor_lag"], p["roll_lag"], p["pitch_lag"]])
-        self._delays = np.array([p["thrust_delay"], p["roll_delay"], p["pitch_delay"]]) + further_delay
+        self._further = further_delay
         self._history = np.zeros((self.num_envs, action_history, 3))
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):  # pyright: ignore[reportIncompatibleMethodOverride]
         """Start at rest on the circles; the seed is that of noise and jitter."""
-        self._rng, self._steps = np.random.default_rng(seed), 0
-        self._state = np.zeros((self.num_envs, 6))
-        self._state[:, 0] = self._circles[:, 0]
-        held = np.array([self.true["mass"] * EARTH, 0.0, 0.0])
-        self._acting = np.tile(held, (self.num_envs, 1))
-        self._target = self._acting.copy()
-        self._under_way: list[tuple[np.ndarray, np.ndarray]] = []
-        self._last = np.full((self.num_envs, 3), -np.inf)
+        start = np.zeros((self.num_envs, 6))
+        start[:, 0] = self._circles[:, 0]
+        rng = np.random.default_rng(seed)
+        self._flight = QuadrotorFlight(self.true, start, self._further, rng, JITTER)
         idle = self.task.idle(self.system).numpy()
         self._history[:] = 0.0
         if self._history.shape[1]:
@@ -81,12 +68,9 @@ class QuadrotorUnits(VectorEnv):
     def step(self, actions: np.ndarray):
         """Send the actions (B, 3) and go on to the next tick."""
         command = np.clip(np.asarray(actions, float) * self.action_scale + self.action_centre, *self._range)
-        jitter = self._rng.normal(0.0, JITTER, command.shape)
-        due = np.maximum(self._steps * STEP + np.maximum(self._delays + jitter, 0.0), self._last)
-        self._last = due
-        self._under_way.append((due, command))
+        self._flight.send(command)
         for _ in range(TICK):
-            self._advance()
+            self._flight.advance()
         if self._history.shape[1]:
             given = (command - self.action_centre) / self.action_scale
             self._history = np.concatenate([given[:, None], self._history[:, :-1]], 1)
@@ -94,42 +78,18 @@ class QuadrotorUnits(VectorEnv):
         info = self._info()
         return self._shown(), -info["path_error"], nothing, nothing.copy(), info
 
-    def _advance(self) -> None:
-        """One step: the middle of it is exact for held targets, and of second order for the motion."""
-        middle = (self._steps + 0.5) * STEP
-        for due, command in self._under_way:
-            self._target = np.where(due <= middle, command, self._target)
-        if len(self._under_way) > 1 and (self._under_way[1][0] <= middle).all():
-            self._under_way.pop(0)
-        way = self._acting - self._target
-        half = self._target + way * np.exp(-0.5 * STEP / self._lags)
-        between = self._state + 0.5 * STEP * self._slope(self._state, self._acting)
-        self._state = self._state + STEP * self._slope(between, half)
-        self._acting = self._target + way * np.exp(-STEP / self._lags)
-        self._steps += 1
-
-    def _slope(self, state: np.ndarray, acting: np.ndarray) -> np.ndarray:
-        p, thrust = self.true, acting[:, 0]
-        roll, pitch = p["roll_gain"] * acting[:, 1], p["pitch_gain"] * acting[:, 2]
-        push = thrust[:, None] * np.stack(
-            [np.cos(roll) * np.sin(pitch), -np.sin(roll), np.cos(roll) * np.cos(pitch)], 1
-        )
-        drag = np.array([p["drag"], p["drag"], p["drag_up"]]) * state[:, 3:]
-        return np.concatenate([state[:, 3:], (push - drag) / p["mass"] - [0.0, 0.0, EARTH]], 1)
-
     def _shown(self) -> np.ndarray:
-        seen = self._state + NOISE * self._rng.standard_normal(self._state.shape)
-        measured = torch.from_numpy(np.concatenate([seen, self._circles], 1))
+        measured = torch.from_numpy(np.concatenate([self._flight.measured(), self._circles], 1))
         own = self.task.observation(self.system, measured).numpy()
         return np.concatenate([own, self._history.reshape(self.num_envs, -1)], 1).astype(np.float32)
 
     def _info(self) -> dict[str, Any]:
-        x, y, z, vx, vy, _ = self._state.T
+        x, y, z, vx, vy, _ = self._flight.state.T
         radius, distance = self._circles[:, 0], np.hypot(x, y)
         return {
             "path_error": np.hypot(distance - radius, z),
             "speed_along": (x * vy - y * vx) / np.maximum(distance, 1e-9),
-            "place": self._state[:, :3].copy(),
-            "time": np.full(self.num_envs, self._steps * STEP),
+            "place": self._flight.state[:, :3].copy(),
+            "time": np.full(self.num_envs, self._flight.time),
             "observation_age": np.zeros(self.num_envs),
         }
