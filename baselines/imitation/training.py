@@ -17,7 +17,7 @@ from baselines.imitation.config import ImitationConfig
 from baselines.imitation.learner import Learner
 from baselines.imitation.lessons import Lesson, give_lesson
 from baselines.imitation.policy import ImitationPolicy, make_ensemble, write_policy
-from baselines.imitation.teachers import make_teacher
+from baselines.imitation.teachers import Teacher, make_teacher
 from baselines.trained import UniformActions, trained_policy
 from deepkoco import __version__
 from deepkoco.agent.checkpoint import (
@@ -84,6 +84,7 @@ class ImitationTrainer:
         folder: Path,
         make_evaluation_envs: VectorEnvFactory | None = None,
         task: Mapping[str, Any] | None = None,
+        teacher: Teacher | None = None,
     ) -> None:
         """Start where the folder's checkpoint stands if there is one.
 
@@ -94,6 +95,7 @@ class ImitationTrainer:
             folder: The run's folder; it exists.
             make_evaluation_envs: Makes those of the evaluations, by default the same.
             task: What the exported policy says of its task.
+            teacher: Answers; by default the one that the settings name.
 
         Raises:
             BaselineConfigError: A setting is out of range, or there is no such teacher.
@@ -110,7 +112,7 @@ class ImitationTrainer:
             raise SpaceError(
                 f"observations have shape {shape}; imitation learns from states: leave out observation=images"
             )
-        self._teacher = make_teacher(config.teacher, config.answer_delay)
+        self._teacher = teacher or make_teacher(config.teacher, config.answer_delay)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(derive_seed(seed, Purpose.WEIGHTS))
             self.learner = Learner(make_ensemble(shape[0], self._low, self._high, config), config)

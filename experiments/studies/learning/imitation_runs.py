@@ -14,7 +14,7 @@ from gymnasium.vector import VectorEnv
 
 from baselines.imitation.config import ImitationConfig
 from baselines.imitation.questions import Questions
-from baselines.imitation.teachers import Teacher, make_teacher
+from baselines.imitation.teachers import Teacher
 from baselines.imitation.training import ImitationTrainer
 from deepkoco.agent.collection import VectorEnvFactory, collect_episodes, episode_costs
 from deepkoco.agent.seeding import Purpose, derive_seed
@@ -23,7 +23,7 @@ from deepkoco.runs.configs import CONFIGS
 from deepkoco.yaml_file import read_yaml
 
 EPISODES = 101  # a demonstration and 25 rounds of four
-ALONE = {"environments": 1, "total_episodes": 25, "evaluation_every": 1}
+ALONE = {"environments": 1, "total_episodes": 25, "evaluation_every": 2}
 """Rounds of one episode, for ways that ask about every step: else a single round would ask more than others ever do."""
 
 
@@ -69,12 +69,12 @@ class Method:
 
 
 METHODS = {
-    "cloning": Method("behaviour cloning", {"rule": "always", "teacher_acts": True, **ALONE}),
-    "dagger": Method("DAgger, asks always", {"rule": "always", **ALONE}),
     "random": Method("random questions", {"rule": "random"}),
     "doubt": Method("most doubt", {"rule": "doubt"}),
     "drawn": Method("drawn by doubt", {"rule": "drawn"}),
     "fixed": Method("doubt above 0.15", {"rule": "fixed", "smallest_doubt": 0.15}),
+    "dagger": Method("DAgger, asks always", {"rule": "always", **ALONE}),
+    "cloning": Method("behaviour cloning", {"rule": "always", "teacher_acts": True, **ALONE}),
     "novelty": Method("most novel", {"rule": "novelty"}),
 }
 
@@ -87,8 +87,8 @@ def make_config(method: str, teacher: str) -> ImitationConfig:
         teacher: Who answers.
     """
     common = {
-        "teacher": teacher, "total_episodes": EPISODES, "updates": 200, "evaluation_every": 8, "evaluation_episodes": 50,
-        "final_evaluation_episodes": 200, "reference_episodes": 0, "checkpoint_episodes": EPISODES,
+        "teacher": teacher, "total_episodes": EPISODES, "updates": 200, "evaluation_every": 8,
+        "evaluation_episodes": 50, "final_evaluation_episodes": 100, "reference_episodes": 0, "checkpoint_episodes": EPISODES,
     }  # fmt: skip
     return ImitationConfig(**{**common, **METHODS[method].changes})
 
@@ -118,12 +118,12 @@ class ActingTeacher:
         return answers.actions
 
 
-def teacher_costs(task: StudyTask, name: str, seed: int, config: ImitationConfig) -> dict[str, float]:
+def teacher_costs(task: StudyTask, teacher: Teacher, seed: int, config: ImitationConfig) -> dict[str, float]:
     """Mean cost of the teacher from the start states of the evaluations of a training.
 
     Args:
         task: The task.
-        name: Of the teacher.
+        teacher: Who answers.
         seed: Of the training.
         config: Numbers of episodes.
 
@@ -136,29 +136,30 @@ def teacher_costs(task: StudyTask, name: str, seed: int, config: ImitationConfig
         ("end", config.final_evaluation_episodes, Purpose.FINAL_EVALUATION),
     ):
         envs = task.factory()(count, seed)
-        acting = ActingTeacher(make_teacher(name), envs)
+        acting = ActingTeacher(teacher, envs)
         costs = episode_costs(collect_episodes(envs, acting, derive_seed(seed, purpose), record=False))
         found[key] = float(costs.mean())
         envs.close()
     return found
 
 
-def train(task: StudyTask, method: str, teacher: str, seed: int) -> dict[str, Any]:
+def train(task: StudyTask, method: str, name: str, teacher: Teacher, seed: int) -> dict[str, Any]:
     """Train once.
 
     Args:
         task: The task.
         method: A name of `METHODS`.
-        teacher: Who answers.
+        name: Of the teacher.
+        teacher: Who answers; it comes solved or loaded, so that no run pays for that.
         seed: Of the run.
 
     Returns:
         Evaluations with their numbers of questions, and processor seconds.
     """
     started = time.process_time()
-    config = make_config(method, teacher)
+    config = make_config(method, name)
     with tempfile.TemporaryDirectory() as folder:
-        trainer = ImitationTrainer(task.factory(), config, seed, Path(folder))
+        trainer = ImitationTrainer(task.factory(), config, seed, Path(folder), teacher=teacher)
         trainer.run()
         rows = trainer.metrics.rows
     names = {"queries": "queries", "steps": "steps", "cost": "evaluation/cost", "doubt": "ask/doubt"}

@@ -17,6 +17,7 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -25,7 +26,7 @@ import pandas as pd
 import torch
 from matplotlib.figure import Figure
 
-from baselines.imitation.teachers import TeacherError
+from baselines.imitation.teachers import Teacher, TeacherError, make_teacher
 from deepkoco.agent.mean_interval import mean_with_band
 from deepkoco.output.picture import as_png, house_style
 from deepkoco.output.whole_file import write_whole_text, writing
@@ -203,17 +204,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _train_all(name: str, seed: int, methods: Sequence[str], teacher: str | None, folder: Path) -> None:
+@cache
+def _teacher(reference: str) -> Teacher:
+    return make_teacher(reference)
+
+
+def _train_all(name: str, seed: int, methods: Sequence[str], reference: str | None, folder: Path) -> None:
     """The trainings of one task and seed that are not there yet."""
-    if teacher is None:
+    if reference is None:
         raise ExperimentError(f"--{name}: give the folder of the trained run that teaches it")
     paths = {method: folder / f"{name}_{method}_{seed}.json" for method in methods}
     missing = {method: path for method, path in paths.items() if not path.exists()}
     if not missing:
         return
-    costs = teacher_costs(TASKS[name], teacher, seed, make_config("random", teacher))
+    teacher = _teacher(reference)
+    costs = teacher_costs(TASKS[name], teacher, seed, make_config("random", reference))
     for method, path in missing.items():
-        run = train(TASKS[name], method, teacher, seed)
+        run = train(TASKS[name], method, reference, teacher, seed)
         about = {
             "task": name,
             "method": method,
