@@ -88,7 +88,8 @@ def make_config(method: str, teacher: str) -> ImitationConfig:
     """
     common = {
         "teacher": teacher, "total_episodes": EPISODES, "updates": 200, "evaluation_every": 8,
-        "evaluation_episodes": 50, "final_evaluation_episodes": 100, "reference_episodes": 0, "checkpoint_episodes": EPISODES,
+        "evaluation_episodes": 50, "final_evaluation_episodes": 100, "reference_episodes": 0,
+        "checkpoint_episodes": EPISODES,
     }  # fmt: skip
     return ImitationConfig(**{**common, **METHODS[method].changes})
 

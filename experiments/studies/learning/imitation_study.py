@@ -99,16 +99,16 @@ def draw(curves: pd.DataFrame) -> Figure:
             1, len(tasks), figsize=(4.0 * len(tasks), 3.8), layout="constrained", squeeze=False
         )
         for panel, task in zip(panels[0], tasks, strict=True):
-            of_task = curves[curves["task"] == task]
-            for method, rows in of_task.groupby("method"):
-                runs = [run for _, run in rows.groupby("seed")]
+            of_task = pd.DataFrame(curves[curves["task"] == task])
+            for method, rows in _groups(of_task, "method"):
+                runs = [run for _, run in _groups(rows, "seed")]
                 first = max(run["queries"].iloc[0] for run in runs)
                 last = min(run["queries"].iloc[-1] for run in runs)
                 places = np.geomspace(first, last, 25).clip(first, last)
                 values = np.log([[ratio_at(run, place) for run in runs] for place in places])
                 bands = np.exp([mean_with_band(value) for value in values])
-                colour = COLOURS[str(method)]
-                panel.plot(places, bands[:, 0], color=colour, label=METHODS[str(method)].label)
+                colour = COLOURS[method]
+                panel.plot(places, bands[:, 0], color=colour, label=METHODS[method].label)
                 panel.fill_between(places, bands[:, 1], bands[:, 2], color=colour, alpha=0.15, linewidth=0)
             panel.axhline(REACHED, color="#555555", linestyle="--", linewidth=1)
             panel.set_xscale("log")
@@ -138,20 +138,23 @@ def summary(runs: pd.DataFrame, curves: pd.DataFrame) -> str:
             + " | ratio at the end | questions | steps | processor s |",
             "|---|---|" + "---|" * (len(AT) + 4),
         ]
-        for method in [m for m in METHODS if ((runs["task"] == task) & (runs["method"] == m)).any()]:
-            rows = runs[(runs["task"] == task) & (runs["method"] == method)]
-            own = curves[(curves["task"] == task) & (curves["method"] == method)]
-            cells = [_reached(rows["questions_to_reach"].to_numpy(float))]
-            cells += [_band([ratio_at(run, n) for _, run in own.groupby("seed")]) for n in AT]
-            cells += [
-                _band(rows["ratio"].tolist()),
-                f"{rows['questions'].mean():.0f}",
-                f"{rows['steps'].mean():.0f}",
-            ]
-            cells += [f"{rows['cpu_seconds'].mean():.0f}"]
+        for method, rows in _groups(pd.DataFrame(runs[runs["task"] == task]), "method"):
+            own = pd.DataFrame(curves[(curves["task"] == task) & (curves["method"] == method)])
+            seeds = [run for _, run in _groups(own, "seed")]
+            cells = [_reached(np.array(rows["questions_to_reach"], float))]
+            cells += [_band([ratio_at(run, n) for run in seeds]) for n in AT]
+            cells += [_band(rows["ratio"].tolist()), f"{rows['questions'].mean():.0f}"]
+            cells += [f"{rows['steps'].mean():.0f}", f"{rows['cpu_seconds'].mean():.0f}"]
             lines.append(f"| {METHODS[method].label} | " + " | ".join(cells) + " |")
         lines.append("")
     return "\n".join(lines)
+
+
+def _groups(rows: pd.DataFrame, column: str) -> list[tuple[str, pd.DataFrame]]:
+    """Rows by a column, methods in the order of `METHODS`."""
+    order = {name: place for place, name in enumerate(METHODS)}
+    found = [(str(name), own) for name, own in rows.groupby(column)]
+    return sorted(found, key=lambda group: order.get(group[0], 0))
 
 
 def _reached(questions: np.ndarray) -> str:
