@@ -34,6 +34,7 @@ class Seen:
 Score = Callable[[Ensemble, Labels, Seen], Tensor]
 """How much an answer is wanted: (B,), at least 0."""
 SMALLEST = 1e-12  # threshold, so that it can grow again
+LARGEST_WEIGHT = 5.0  # of an answer; the step that was hardly asked about does not outweigh the others
 
 
 def doubt(ensemble: Ensemble, labels: Labels, seen: Seen) -> Tensor:
@@ -64,7 +65,7 @@ class Rule(Protocol):
         ...
 
     def choose(self, ensemble: Ensemble, labels: Labels, seen: Seen) -> np.ndarray:
-        """Where to ask (B,) bool, among the environments that are in an episode."""
+        """Weight (B,) of an answer in the fit, 0 where none is wanted; it is wanted only in an episode."""
         ...
 
 
@@ -75,7 +76,7 @@ class Always:
 
     def choose(self, ensemble: Ensemble, labels: Labels, seen: Seen) -> np.ndarray:
         """All that run."""
-        return seen.running.copy()
+        return seen.running.astype(float)
 
 
 class AtRandom:
@@ -95,7 +96,7 @@ class AtRandom:
     def choose(self, ensemble: Ensemble, labels: Labels, seen: Seen) -> np.ndarray:
         """Each that runs with the same probability."""
         drawn = torch.rand(len(seen.running), generator=self._generator).numpy() < self._rate
-        return drawn & seen.running
+        return (drawn & seen.running).astype(float)
 
 
 class Threshold:
@@ -148,37 +149,43 @@ class AboveThreshold:
         scores = self._score(ensemble, labels, seen).numpy()
         asked = (scores > self.threshold.over(scores[seen.running])) & seen.running
         self.threshold.move(asked.sum() / seen.running.sum())
-        return asked
+        return asked.astype(float)
 
 
 class Drawn:
-    """Asks with a probability that grows with a score: min(1, score / h), h a `Threshold`.
+    r"""Asks with a probability that grows with a score: p = min(1, score / h), h a `Threshold`.
 
-    Where a score misleads, as doubt on a jump of the teacher's action that no network can follow, the other
-    observations still get a share of the questions.
+    An answer has the weight 1: what scores high is learned more than it is visited. Or it has the weight r / p, at
+    most `LARGEST_WEIGHT`: then the expected loss is that over all visited steps, and the score only says where it is
+    looked at closely.
 
     Source: Cesa-Bianchi, Gentile and Zaniboni (2006), Worst-case analysis of selective sampling for linear
-    classification, who ask with a probability that falls with the margin.
+    classification, who draw by the margin; Beygelzimer, Dasgupta and Langford (2009), Importance weighted active
+    learning, for the weights.
     """
 
-    def __init__(self, score: Score, threshold: Threshold, generator: torch.Generator) -> None:
+    def __init__(
+        self, score: Score, threshold: Threshold, generator: torch.Generator, rate: float | None = None
+    ) -> None:
         """Set the score.
 
         Args:
             score: Of observations.
             threshold: Adapts to the wanted share.
             generator: Of the draws.
+            rate: r of the weights; None: all weights are 1.
         """
-        self._score, self.threshold, self._generator = score, threshold, generator
+        self._score, self.threshold, self._generator, self._rate = score, threshold, generator, rate
 
     def choose(self, ensemble: Ensemble, labels: Labels, seen: Seen) -> np.ndarray:
         """Drawn for each that runs; the threshold follows."""
         scores = self._score(ensemble, labels, seen).numpy()
-        limit = self.threshold.over(scores[seen.running])
+        chance = np.minimum(1.0, scores / self.threshold.over(scores[seen.running]))
         drawn = torch.rand(len(seen.running), generator=self._generator).numpy()
-        asked = (drawn * limit < scores) & seen.running
+        asked = (drawn < chance) & seen.running
         self.threshold.move(asked.sum() / seen.running.sum())
-        return asked
+        rates = np.ones_like(chance) if self._rate is None else self._rate / np.maximum(chance, SMALLEST)
+        return np.where(asked, np.minimum(rates, LARGEST_WEIGHT), 0.0)
 
 
 def make_rule(config: ImitationConfig, generator: torch.Generator) -> Rule:
@@ -193,6 +200,7 @@ def make_rule(config: ImitationConfig, generator: torch.Generator) -> Rule:
     rules: dict[str, Callable[[], Rule]] = {
         "doubt": lambda: AboveThreshold(doubt, of_doubt),
         "drawn": lambda: Drawn(doubt, of_doubt, generator),
+        "weighted": lambda: Drawn(doubt, of_doubt, generator, rate),
         "fixed": lambda: AboveThreshold(doubt, Threshold(rate, 0.0, config.smallest_doubt)),
         "novelty": lambda: AboveThreshold(novelty, Threshold(rate, gain)),
         "random": lambda: AtRandom(rate, generator),

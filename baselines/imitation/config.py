@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from baselines.config import BaselineConfigError, check_positive
 
-RULES = ("doubt", "drawn", "fixed", "novelty", "random", "always")
+RULES = ("doubt", "drawn", "weighted", "fixed", "novelty", "random", "always")
 
 
 @dataclass
@@ -27,8 +27,9 @@ class ImitationConfig:
     up where the command runs."""
     rule: str = "doubt"
     """Which steps are asked about: "doubt" (where the members disagree most), "drawn" (with a probability that grows
-    with the doubt), "fixed" (the doubt is above `smallest_doubt`), "novelty" (farthest from all answered observations),
-    "random", "always" (DAgger)."""
+    with the doubt), "weighted" (drawn, and an answer counts the more, the less likely its question was), "fixed" (the
+    doubt is above `smallest_doubt`), "novelty" (farthest from all answered observations), "random", "always" (as
+    DAgger)."""
     query_rate: float = 0.05
     """Wanted share of steps that are asked about; the thresholds of doubt and novelty adapt to it."""
     threshold_gain: float = 0.1

@@ -13,7 +13,7 @@ from torch import Tensor
 from baselines.imitation.asking import Rule, Seen
 from baselines.imitation.learner import Learner
 from baselines.imitation.nodes import NOT_ASKED, Answering, Command, TeacherNode
-from baselines.imitation.questions import Answers, OpenQuestions, Questions
+from baselines.imitation.questions import Answers, Label, OpenQuestions, Questions
 from deepkoco.engines import make_graph
 from deepkoco.graph import Connection, Graph, Input, Supervisor, make_delay
 
@@ -88,8 +88,7 @@ class AskingStudent:
         self._learner, self.rule, self._observe = learner, rule, observe
         self.acts, self._sensor = acts, sensor
         self._waiting = OpenQuestions()
-        self._observations: list[np.ndarray] = []
-        self._actions: list[np.ndarray] = []
+        self._answered: list[Label] = []
         self.start()
 
     def start(self) -> None:
@@ -112,10 +111,11 @@ class AskingStudent:
         command, doubt = ensemble.decide(observation)
         if self.acts and newest is not None:
             command = newest[None]
-        asked = self.rule.choose(ensemble, labels, Seen(observation, doubt, np.ones(1, bool)))
-        self._waiting.put(Questions(self._step, asked, observation.numpy()))
-        number = float(self._step) if asked[0] else NOT_ASKED
-        self.asked += int(asked[0])
+        weights = self.rule.choose(ensemble, labels, Seen(observation, doubt, np.ones(1, bool)))
+        questions = Questions(self._step, weights, observation.numpy())
+        self._waiting.put(questions)
+        number = float(self._step) if questions.asked[0] else NOT_ASKED
+        self.asked += int(questions.asked[0])
         self._step += 1
         return torch.cat([command, torch.tensor([[number]], dtype=torch.float64), observation], -1)
 
@@ -126,8 +126,8 @@ class AskingStudent:
             bootstraps: Draws how often each member sees a new answer.
             minibatches: Draws those of the fit.
         """
-        self._learner.add(self._observations, self._actions, bootstraps)
-        self._observations, self._actions = [], []
+        self._learner.add(self._answered, bootstraps)
+        self._answered = []
         return self._learner.fit(minibatches)
 
     def _take(self, messages: Tensor) -> Tensor | None:
@@ -137,8 +137,7 @@ class AskingStudent:
         answers = Answers(np.zeros(len(numbers), np.int64), numbers.numpy(), messages[:, 1:].numpy()).take(
             given
         )
-        observations, actions = self._waiting.join(answers)
-        self.answered += len(actions)
-        self._observations += observations
-        self._actions += actions
-        return torch.from_numpy(actions[-1]) if actions else None
+        labels = self._waiting.join(answers)
+        self.answered += len(labels)
+        self._answered += labels
+        return torch.from_numpy(labels[-1].action) if labels else None

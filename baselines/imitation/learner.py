@@ -11,6 +11,7 @@ from torch import Tensor
 
 from baselines.imitation.config import ImitationConfig
 from baselines.imitation.ensemble import Ensemble
+from baselines.imitation.questions import Label
 
 
 class Labels:
@@ -21,7 +22,7 @@ class Labels:
     Attributes:
         observations: (n, N) float64.
         targets: Actions in [-1, 1] (n, M) float32.
-        counts: (E, n) float32.
+        counts: By the weights of the answers (E, n) float32.
 
     Source: Oza and Russell (2001), Online bagging and boosting.
     """
@@ -40,9 +41,9 @@ class Labels:
     def __len__(self) -> int:
         return len(self.targets)
 
-    def add(self, observations: Tensor, targets: Tensor, generator: torch.Generator) -> None:
-        """Take in observations (n, N) with targets (n, M)."""
-        counts = torch.poisson(torch.ones(len(self.counts), len(targets)), generator)
+    def add(self, observations: Tensor, targets: Tensor, weights: Tensor, generator: torch.Generator) -> None:
+        """Take in observations (n, N) with targets (n, M) and weights (n,)."""
+        counts = torch.poisson(torch.ones(len(self.counts), len(targets)), generator) * weights
         self.observations = torch.cat([self.observations, observations])
         self.targets, self.counts = torch.cat([self.targets, targets]), torch.cat([self.counts, counts], 1)
 
@@ -77,22 +78,20 @@ class Learner:
         self.labels = Labels(size, len(ensemble.low), ensemble.members)
         self._adam = torch.optim.Adam(ensemble.parameters(), lr=config.learning_rate, fused=True)
 
-    def add(
-        self, observations: Sequence[np.ndarray], actions: Sequence[np.ndarray], generator: torch.Generator
-    ) -> None:
+    def add(self, answered: Sequence[Label], generator: torch.Generator) -> None:
         """Take in answers.
 
         Args:
-            observations: n of (N,).
-            actions: n of (M,), in the environment's units.
+            answered: n of them.
             generator: Of the bootstraps.
         """
-        if not len(actions):
+        if not len(answered):
             return
-        seen = torch.from_numpy(np.asarray(observations, np.float64))
-        targets = self.ensemble.to_unit(torch.from_numpy(np.asarray(actions, np.float64)))
-        self.ensemble.observed.add(seen)
-        self.labels.add(seen, targets, generator)
+        observations, actions, weights = (
+            torch.from_numpy(np.asarray(part, np.float64)) for part in zip(*answered, strict=True)
+        )
+        self.ensemble.observed.add(observations)
+        self.labels.add(observations, self.ensemble.to_unit(actions), weights.float(), generator)
 
     def fit(self, generator: torch.Generator) -> float:
         """Make the updates of a round.

@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from baselines.imitation.asking import Rule, Seen
 from baselines.imitation.ensemble import Ensemble
 from baselines.imitation.learner import Labels
-from baselines.imitation.questions import Answers, OpenQuestions, Questions
+from baselines.imitation.questions import Label, OpenQuestions, Questions
 from baselines.imitation.teachers.teacher import Teacher
 from baselines.policy import Array
 
@@ -21,8 +21,7 @@ class Lesson:
     """What a round gave.
 
     Attributes:
-        observations: That were answered, n of (N,).
-        actions: The answers, n of (M,), in the environment's units.
+        answered: Questions with their answers.
         steps: Steps of episodes.
         costs: Of each episode (B,).
         asked: Questions.
@@ -30,8 +29,7 @@ class Lesson:
         doubts: Mean doubt of the steps.
     """
 
-    observations: list[np.ndarray] = field(default_factory=list)
-    actions: list[np.ndarray] = field(default_factory=list)
+    answered: list[Label] = field(default_factory=list)
     steps: int = 0
     costs: Array = field(default_factory=lambda: np.empty(0))
     asked: int = 0
@@ -75,19 +73,19 @@ def give_lesson(
         tensor = torch.from_numpy(seen)
         decided, doubt = ensemble.decide(tensor)
         actions = decided.numpy()
-        asked = rule.choose(ensemble, labels, Seen(tensor, doubt, running))
+        weights = rule.choose(ensemble, labels, Seen(tensor, doubt, running))
         if budget is not None:
-            asked &= np.cumsum(asked) <= budget - lesson.asked
-        questions = Questions(step, asked, seen)
+            weights = np.where(np.cumsum(weights > 0) <= budget - lesson.asked, weights, 0.0)
+        questions = Questions(step, weights, seen)
         waiting.put(questions)
         answers = teacher.answer(questions)
-        _take(lesson, waiting, answers)
+        lesson.answered += waiting.join(answers)
         if acts:
             now = answers.take(answers.steps == step)
             actions[now.environments] = now.actions
         lesson.steps += int(running.sum())
         doubts.append(doubt.numpy()[running])
-        lesson.asked += int(asked.sum())
+        lesson.asked += int(questions.asked.sum())
         observation, reward, terminated, truncated, _ = envs.step(actions.astype(dtype))
         costs -= np.where(running, np.asarray(reward, np.float64), 0.0)
         ended = terminated | truncated
@@ -95,13 +93,7 @@ def give_lesson(
         step += 1
         if ended.any() and running.any() and restarts == AutoresetMode.DISABLED:
             observation, _ = envs.reset(options={"reset_mask": ended})
-    _take(lesson, waiting, teacher.finish())
+    lesson.answered += waiting.join(teacher.finish())
     lesson.costs = costs
     lesson.unanswered, lesson.doubts = waiting.clear(), float(np.concatenate(doubts).mean())
     return lesson
-
-
-def _take(lesson: Lesson, waiting: OpenQuestions, answers: Answers) -> None:
-    observations, actions = waiting.join(answers)
-    lesson.observations += observations
-    lesson.actions += actions

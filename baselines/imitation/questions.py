@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,13 +16,18 @@ class Questions:
 
     Attributes:
         step: Number of the step in its episode, the same in all environments.
-        asked: Where an answer is wanted (B,) bool.
+        weights: Of an answer in the fit (B,), 0 where none is wanted.
         observations: What the student sees (B, N).
     """
 
     step: int
-    asked: np.ndarray
+    weights: np.ndarray
     observations: np.ndarray
+
+    @property
+    def asked(self) -> np.ndarray:
+        """Where an answer is wanted (B,) bool."""
+        return self.weights > 0
 
 
 @dataclass(frozen=True)
@@ -55,6 +61,20 @@ class Answers:
         return Answers(self.environments[chosen], self.steps[chosen], self.actions[chosen])
 
 
+class Label(NamedTuple):
+    """An answered question.
+
+    Attributes:
+        observation: (N,).
+        action: The answer, in the environment's units (M,).
+        weight: Of its error in the fit.
+    """
+
+    observation: np.ndarray
+    action: np.ndarray
+    weight: float
+
+
 class OpenQuestions:
     """Questions that wait for their answer; an answer is joined to the observation it was asked about.
 
@@ -63,7 +83,7 @@ class OpenQuestions:
 
     def __init__(self) -> None:
         """Start without a question."""
-        self._waiting: dict[tuple[int, int], np.ndarray] = {}
+        self._waiting: dict[tuple[int, int], tuple[np.ndarray, float]] = {}
 
     def __len__(self) -> int:
         return len(self._waiting)
@@ -71,17 +91,17 @@ class OpenQuestions:
     def put(self, questions: Questions) -> None:
         """Take in what was asked in a step."""
         for i in np.flatnonzero(questions.asked):
-            self._waiting[int(i), questions.step] = np.array(questions.observations[i], np.float64)
+            seen = np.array(questions.observations[i], np.float64)
+            self._waiting[int(i), questions.step] = seen, float(questions.weights[i])
 
-    def join(self, answers: Answers) -> tuple[list[np.ndarray], list[np.ndarray]]:
-        """Observations, each (N,), and the actions, each (M,), that answer them."""
-        observations, actions = [], []
+    def join(self, answers: Answers) -> list[Label]:
+        """What was asked about, with the answer."""
+        labels = []
         keys = zip(answers.environments.tolist(), answers.steps.tolist(), strict=True)
         for key, action in zip(keys, answers.actions, strict=True):
-            if (observation := self._waiting.pop(key, None)) is not None:
-                observations.append(observation)
-                actions.append(action)
-        return observations, actions
+            if (question := self._waiting.pop(key, None)) is not None:
+                labels.append(Label(question[0], action, question[1]))
+        return labels
 
     def clear(self) -> int:
         """Forget what was not answered; how many that were."""

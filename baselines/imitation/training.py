@@ -192,7 +192,7 @@ class ImitationTrainer:
             shown or config.teacher_acts,
             left,
         )
-        learner.add(lesson.observations, lesson.actions, self._noise)
+        learner.add(lesson.answered, self._noise)
         loss = learner.fit(self._sampling)
         progress.rounds += 1
         progress.episodes += len(lesson.costs)

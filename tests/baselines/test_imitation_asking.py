@@ -13,7 +13,7 @@ from baselines.imitation.asking import AboveThreshold, Always, AtRandom, Drawn, 
 from baselines.imitation.config import ImitationConfig
 from baselines.imitation.ensemble import Ensemble
 from baselines.imitation.learner import Labels, Learner
-from baselines.imitation.questions import Answers, OpenQuestions, Questions
+from baselines.imitation.questions import Answers, Label, OpenQuestions, Questions
 
 
 def ensemble(members=3, size=2, hidden=(8,), low=(-2.0,), high=(2.0,)):
@@ -71,7 +71,7 @@ def test_the_share_of_questions_comes_to_the_wanted_one_whatever_the_scale(rate,
     first = None
     for step in range(steps):
         falling = 10.0 ** (scale - step / steps)
-        asked += rule.choose(None, None, seen(falling * generator.exponential(size=4))).sum()
+        asked += (rule.choose(None, None, seen(falling * generator.exponential(size=4))) > 0).sum()
         first = first or rule.threshold.value
     share, moved = asked / (4 * steps), math.log(rule.threshold.value / first)
     assert share - rate == pytest.approx(moved / (0.1 * steps), abs=1e-3)
@@ -84,14 +84,14 @@ def test_the_largest_scores_are_asked_about():
     for _ in range(800):
         scores.append(generator.uniform(size=4))
         asked.append(rule.choose(None, None, seen(scores[-1])))
-    chosen = np.concatenate(asked[100:])
+    chosen = np.concatenate(asked[100:]) > 0
     assert np.concatenate(scores[100:])[chosen].min() > 0.7
 
 
 def test_the_first_step_asks_nothing():
     rule = AboveThreshold(by_doubt, Threshold(0.1, 0.1))
     assert not rule.choose(None, None, seen([3.0, 5.0])).any()
-    assert rule.choose(None, None, seen([3.0, 5.0])).tolist() == [False, True]
+    assert rule.choose(None, None, seen([3.0, 5.0])).tolist() == [0.0, 1.0]
 
 
 def test_nothing_below_the_smallest_doubt_is_asked():
@@ -103,8 +103,8 @@ def test_nothing_below_the_smallest_doubt_is_asked():
 
 def test_a_fixed_threshold_stays():
     rule = AboveThreshold(by_doubt, Threshold(0.5, 0.0, 0.2))
-    assert rule.choose(None, None, seen([0.1, 0.3])).tolist() == [False, True]
-    assert rule.choose(None, None, seen([0.19, 0.21])).tolist() == [False, True]
+    assert rule.choose(None, None, seen([0.1, 0.3])).tolist() == [0.0, 1.0]
+    assert rule.choose(None, None, seen([0.19, 0.21])).tolist() == [0.0, 1.0]
 
 
 def test_drawn_questions_come_to_the_rate_and_grow_with_the_doubt():
@@ -113,6 +113,24 @@ def test_drawn_questions_come_to_the_rate_and_grow_with_the_doubt():
     share = asked[500:].mean(0)
     assert share.mean() == pytest.approx(0.1, abs=0.01)
     assert share == pytest.approx([0.04, 0.08, 0.12, 0.16], abs=0.02)
+
+
+def test_weights_make_the_loss_that_of_all_visited_steps():
+    """Steps of score 1 and 3, asked with p and 3 p: each has to weigh the same in the sum."""
+    rule = Drawn(by_doubt, Threshold(0.1, 0.05), torch.Generator().manual_seed(0), 0.1)
+    weights = np.array([rule.choose(None, None, seen([1.0, 3.0])) for _ in range(6000)])[500:]
+    assert weights.mean(0) == pytest.approx([0.1, 0.1], rel=0.15)
+    assert (weights[:, 0][weights[:, 0] > 0].mean()) > 2 * (weights[:, 1][weights[:, 1] > 0].mean())
+
+
+def test_a_weight_counts_in_the_fit():
+    """Two answers to one observation, 1 with the weight 3 and -1 with 1: the least squares are at 0.5."""
+    config = ImitationConfig(members=2, hidden=(8,), updates=400, learning_rate=1e-2)
+    learner = Learner(ensemble(2, low=(-1.0,), high=(1.0,)), config)
+    answered = [Label(np.zeros(2), np.array([a]), w) for a, w in ((1.0, 3.0), (-1.0, 1.0))] * 200
+    learner.add(answered, torch.Generator().manual_seed(0))
+    learner.fit(torch.Generator().manual_seed(0))
+    assert learner.ensemble(torch.zeros(1, 2)).flatten().tolist() == pytest.approx([0.5, 0.5], abs=0.1)
 
 
 def test_environments_whose_episode_is_over_are_not_asked():
@@ -136,16 +154,16 @@ def test_novelty_is_the_distance_to_the_nearest_answered_observation():
     )
     assert novelty(student, learner.labels, shown).tolist() == [1.0, 1.0]
     labels = Labels(2, 1, 3)
-    labels.add(torch.zeros(1, 2, dtype=torch.float64), torch.zeros(1, 1), torch.Generator().manual_seed(0))
+    one = torch.zeros(1, 2, dtype=torch.float64), torch.zeros(1, 1), torch.ones(1)
+    labels.add(*one, torch.Generator().manual_seed(0))
     # Moments of mean 0 and variance 1: the scale is 1.
     assert novelty(student, labels, shown).tolist() == pytest.approx([0.0, 5.0], abs=1e-3)
 
 
 def test_each_member_draws_its_own_bootstrap_with_mean_one():
     labels = Labels(2, 1, 5)
-    labels.add(
-        torch.zeros(4000, 2, dtype=torch.float64), torch.zeros(4000, 1), torch.Generator().manual_seed(0)
-    )
+    many = torch.zeros(4000, 2, dtype=torch.float64), torch.zeros(4000, 1), torch.ones(4000)
+    labels.add(*many, torch.Generator().manual_seed(0))
     assert labels.counts.mean(1).tolist() == pytest.approx([1.0] * 5, abs=0.06)
     assert (labels.counts == 0).float().mean().item() == pytest.approx(math.exp(-1.0), abs=0.02)
     assert not torch.equal(labels.counts[0], labels.counts[1])
@@ -154,7 +172,7 @@ def test_each_member_draws_its_own_bootstrap_with_mean_one():
 def test_a_member_learns_only_from_its_own_bootstrap():
     config = ImitationConfig(members=2, hidden=(8,), updates=150, learning_rate=1e-2)
     learner = Learner(ensemble(2), config)
-    learner.add([np.zeros(2)] * 20, [np.ones(1)] * 20, torch.Generator().manual_seed(0))
+    learner.add([Label(np.zeros(2), np.ones(1), 1.0)] * 20, torch.Generator().manual_seed(0))
     learner.labels.counts[1] = 0.0
     before = [weight[1].clone() for weight in learner.ensemble.weights]
     learner.fit(torch.Generator().manual_seed(0))
@@ -168,7 +186,8 @@ def test_members_doubt_away_from_what_was_answered():
     student = ensemble(5, hidden=(32, 32))
     learner, generator = Learner(student, config), np.random.default_rng(0)
     observations = generator.normal(scale=0.3, size=(300, 2))
-    learner.add(list(observations), list(np.sin(3 * observations[:, :1])), torch.Generator().manual_seed(0))
+    answered = [Label(o, np.sin(3 * o[:1]), 1.0) for o in observations]
+    learner.add(answered, torch.Generator().manual_seed(0))
     learner.fit(torch.Generator().manual_seed(0))
     near, far = (student.decide(torch.from_numpy(s * generator.normal(size=(200, 2))))[1] for s in (0.3, 3.0))
     assert far.mean() > 5 * near.mean()
@@ -194,11 +213,11 @@ def test_answers_in_any_order_find_their_observations(data):
         np.array([i for i, _ in order]), np.array([s for _, s in order]),
         np.array([[10.0 * i + s] for i, s in order]),
     )  # fmt: skip
-    found, actions = waiting.join(answers)
+    found = waiting.join(answers)
     assert len(found) == known // 2
-    for observation, action, key in zip(found, actions, order, strict=False):
-        assert np.array_equal(observation, shown[key])
-        assert action[0] == 10.0 * key[0] + key[1]
+    for label, key in zip(found, order, strict=False):
+        assert np.array_equal(label.observation, shown[key])
+        assert label.action[0] == 10.0 * key[0] + key[1]
     assert waiting.clear() == known - known // 2
 
 

@@ -72,6 +72,7 @@ METHODS = {
     "random": Method("random questions", {"rule": "random"}),
     "doubt": Method("most doubt", {"rule": "doubt"}),
     "drawn": Method("drawn by doubt", {"rule": "drawn"}),
+    "weighted": Method("drawn by doubt, weighted", {"rule": "weighted"}),
     "fixed": Method("doubt above 0.15", {"rule": "fixed", "smallest_doubt": 0.15}),
     "dagger": Method("DAgger, asks always", {"rule": "always", **ALONE}),
     "cloning": Method("behaviour cloning", {"rule": "always", "teacher_acts": True, **ALONE}),
@@ -87,7 +88,7 @@ def make_config(method: str, teacher: str) -> ImitationConfig:
         teacher: Who answers.
     """
     common = {
-        "teacher": teacher, "total_episodes": EPISODES, "updates": 200, "evaluation_every": 8,
+        "teacher": teacher, "total_episodes": EPISODES, "updates": 400, "evaluation_every": 8,
         "evaluation_episodes": 50, "final_evaluation_episodes": 100, "reference_episodes": 0,
         "checkpoint_episodes": EPISODES,
     }  # fmt: skip

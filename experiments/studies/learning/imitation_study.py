@@ -36,6 +36,7 @@ from experiments.studies.learning.imitation_runs import METHODS, TASKS, make_con
 
 COLOURS = {
     "cloning": "#999999", "dagger": "#000000", "random": "#0072B2", "doubt": "#D55E00", "drawn": "#E69F00",
+    "weighted": "#56B4E9",
     "fixed": "#CC79A7", "novelty": "#009E73",
 }  # fmt: skip
 REACHED = 1.1  # times the teacher's cost
