@@ -88,7 +88,7 @@ def make_config(method: str, teacher: str) -> ImitationConfig:
         teacher: Who answers.
     """
     common = {
-        "teacher": teacher, "total_episodes": EPISODES, "updates": 400, "evaluation_every": 8,
+        "teacher": teacher, "total_episodes": EPISODES, "updates": 300, "minibatch": 64, "evaluation_every": 8,
         "evaluation_episodes": 50, "final_evaluation_episodes": 100, "reference_episodes": 0,
         "checkpoint_episodes": EPISODES,
     }  # fmt: skip
