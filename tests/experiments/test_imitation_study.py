@@ -4,9 +4,10 @@ import json
 
 import numpy as np
 import pytest
+import torch
 
 from baselines.imitation.teachers.function import FunctionTeacher
-from experiments.studies.learning import imitation_film, imitation_runs, imitation_study
+from experiments.studies.learning import imitation_clock, imitation_film, imitation_runs, imitation_study
 
 
 def run(task, method, seed, points, teacher=(100.0, 50.0)):
@@ -79,3 +80,21 @@ def test_a_film_marks_what_is_asked(monkeypatch, tmp_path):
     colours = [tuple(frame[0, -1]) for frame in frames[0]]
     assert set(colours) == {imitation_film.ASKED}
     assert {tuple(frame[0, -1]) for frame in frames[1]} == {imitation_film.ASKED, imitation_film.QUIET}
+
+
+def test_a_student_learns_in_a_graph_in_simulated_time():
+    rows = imitation_clock.learn(False, 0, rounds=3)
+    assert rows[0]["asked"] == imitation_clock.STEPS
+    assert all(row["answered"] <= row["asked"] for row in rows)
+    assert rows[-1]["answers"] == sum(row["answered"] for row in rows)
+    assert rows[-1]["error"] < rows[0]["error"]
+
+
+def test_the_script_swings_up_and_holds():
+    state, dt = np.array([3.0, 0.0]), 0.05
+    for _ in range(200):
+        seen = torch.tensor([[np.cos(state[0]), np.sin(state[0]), state[1]]])
+        torque = float(imitation_clock.swing_up(seen))
+        speed = state[1] + dt * (15.0 * np.sin(state[0]) + 3.0 * torque)  # Gymnasium's Pendulum-v1
+        state = np.array([state[0] + dt * speed, speed])
+    assert np.cos(state[0]) > 0.95
