@@ -92,6 +92,11 @@ AGENTS = {
         "baselines.ppo.training:PpoTrainer",
         "baselines.ppo.policy:load_policy",
     ),
+    "imitation": AgentKind(
+        "baselines.imitation.config:ImitationConfig",
+        "baselines.imitation.training:ImitationTrainer",
+        "baselines.imitation.policy:load_policy",
+    ),
 }
 
 

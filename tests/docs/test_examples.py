@@ -57,6 +57,7 @@ def test_examples_go_on_from_the_first_graph(
         "pages.md",
         "planning.md",
         "pool.md",
+        "imitation.md",
         "ppo.md",
         "runtimes.md",
         "systems.md",

@@ -11,6 +11,9 @@ from experiments.studies.learning.comparison.style import METHODS
 ON_POLICY = {"ppo"}
 """Agents that learn from an episode once, and so need many times as many."""
 
+TAUGHT = {"imitation"}
+"""Agents that learn from answers of a teacher, a question at a time."""
+
 
 @pytest.mark.parametrize("agent", AGENTS)
 def test_an_agent_has_typed_settings_a_name_and_a_colour(agent):
@@ -25,7 +28,7 @@ def test_an_agent_has_typed_settings_a_name_and_a_colour(agent):
     assert agent in METHODS
 
 
-@pytest.mark.parametrize("agent", [name for name in AGENTS if name not in ON_POLICY])
+@pytest.mark.parametrize("agent", [name for name in AGENTS if name not in ON_POLICY | TAUGHT])
 def test_agents_that_keep_what_they_saw_get_as_many_episodes_of_the_manipulator(agent):
     episodes = read_settings(f"agent={agent}", "task=manipulator").agent.total_episodes
     assert episodes == read_settings("task=manipulator").agent.total_episodes

@@ -64,7 +64,7 @@ def test_an_agent_whose_package_is_missing_is_named(monkeypatch, capsys):
     monkeypatch.setitem(agents.AGENTS, "dbc", kind)
     text = refusal(monkeypatch, capsys, "train", "agent=dbc")
     assert text.startswith('error: agent = "dbc": its package "no_such_package" is not installed')
-    assert "deepkoco, sac, sac_shared, deepmdp, ppo\n" in text
+    assert "deepkoco, sac, sac_shared, deepmdp, ppo, imitation\n" in text
 
 
 @pytest.mark.parametrize("name", ["train", "evaluate", "aggregate", "unit_trials"])

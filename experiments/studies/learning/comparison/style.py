@@ -31,6 +31,7 @@ METHODS = {
     "sac": MethodStyle("SAC", "#CC79A7"),
     "sac_shared": MethodStyle("SAC, shared encoder", "#E69F00"),
     "ppo": MethodStyle("PPO", "#56B4E9"),
+    "imitation": MethodStyle("imitation", "#000000"),
 }
 """By name of the agent, in the order of legends."""
 
