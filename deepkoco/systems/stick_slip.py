@@ -136,7 +136,9 @@ class StickSlip:
         return _mean(q, v, v2, v3, v4, h), _mean(v, a1, a2, a3, a4, h)
 
     def _turning(self, before: Values, after: Values) -> Tensor:
-        """Where a joint with dry friction turns, comes to rest or is at rest (...)."""
+        """Where a joint with dry friction turns, comes to rest or is at rest (...); everywhere if friction creeps."""
+        if self._friction.creeps is not None:
+            return torch.ones_like(before[0], dtype=torch.bool)
         near = before[self.rubbing[0]] * after[self.rubbing[0]] <= 0.0
         for j in self.rubbing[1:]:
             near = near | (before[j] * after[j] <= 0.0)

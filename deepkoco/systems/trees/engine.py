@@ -2,16 +2,19 @@
 
 Its semi-implicit steps v' = v + h a(q, v, u), q' = q + h v' are q(t + h) - 2 q(t) + q(t - h) = h^2 a: a command that is
 held from t to t + h acts on the motion from t - h / 2 to t + h / 2. Half a step at 2 rad/s is 2 mrad with the default
-step of 2 ms, which a good encoder shows. The speed in a(q, v, u) is that of t - h / 2, and that of t + h / 2 for a
-damping that is integrated implicitly. A damping D that acts early by h / 2 is -D (q' + q'' h / 2): an armature of
-D h / 2. Steps of Runge-Kutta have none of this.
+step of 2 ms, which a good encoder shows. The speed in a is that of t - h / 2, and that of t + h / 2 for a damping that
+is integrated implicitly. A damping D that is ahead of the other loads by h is -D (v + h q''): an armature of D h. Steps
+of Runge-Kutta have none of this. What is left is of the order of h^2.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from torch import Tensor
+
 from deepkoco.systems.creep import Creep
+from deepkoco.systems.motion import Acceleration, Motion
 from deepkoco.systems.trees.mujoco_library import Model, mujoco_library
 from deepkoco.systems.trees.parameters import Law
 from deepkoco.systems.trees.scalars import Scalar, add, mul
@@ -38,30 +41,50 @@ def engine_of(model: Model) -> Engine | None:
     euler = model.opt.integrator == library.mjtIntegrator.mjINT_EULER
     explicit = euler and bool(model.opt.disableflags & library.mjtDisableBit.mjDSBL_EULERDAMP)
     half = 0.5 * step
-    return Engine(own, half, half if explicit else -half, half if euler else -half)
+    late = tuple(_with_late_speed(creep, half) for creep in own)
+    if model.opt.integrator == library.mjtIntegrator.mjINT_IMPLICIT:
+        return Engine(late, half, -half)  # all smooth loads are implicit
+    return Engine(late, half, half, 0.0 if explicit else step, 0.0 if euler else step)
 
 
-def late_damping(
+def _with_late_speed(creep: Creep, late: float) -> Creep:
+    """The constraint D (v' + b (v - late v')), which MuJoCo finds from the speed of half a step before."""
+    kept = 1.0 - creep.rate * late
+    return creep if kept <= 0.0 else Creep(creep.inertia * kept, creep.rate / kept)
+
+
+def ahead(
     engine: Engine,
     actuators: Sequence[Actuator],
     least: Sequence[float],
     passive: Mapping[str, Sequence[Scalar]],
     laws: Sequence[Law],
 ) -> list[Scalar]:
-    """Armature of each joint [kg m2 or kg] that stands for a damping which acts late or early; below 0 where late.
+    """Armature of each joint [kg m2 or kg] that stands for a damping which is ahead of the other loads.
 
     Args:
         engine: How the tree is simulated.
         actuators: Of the tree.
-        least: Smallest inertia that each joint moves; no more than half of it is taken off.
+        least: Smallest inertia that each joint moves; no more than half of it is taken off, by a damping below 0.
         passive: Damping of each joint.
         laws: Gain and bias of each actuator.
     """
-    added = [mul(-engine.of_joints, damping) for damping in passive["damping"]]
+    added = [mul(engine.joints_ahead, damping) for damping in passive["damping"]]
     for actuator, law in zip(actuators, laws, strict=True):
         j = actuator.joint
-        added[j] = add(added[j], mul(engine.of_drives * actuator.gear**2, law.bias[2]))
+        added[j] = add(added[j], mul(-engine.drives_ahead * actuator.gear**2, law.bias[2]))
     return [larger(own, -LARGEST_SHARE * most) for own, most in zip(added, least, strict=True)]
+
+
+def with_late_speeds(law: Acceleration, late: float) -> Acceleration:
+    """Accelerations of which every load has the speed of a time ``late`` [s] before: a(v - late a(v))."""
+
+    def acceleration(motion: Motion) -> tuple[Tensor, ...]:
+        first = law(motion)
+        speeds = tuple(v - late * a for v, a in zip(motion.speeds, first, strict=True))
+        return law(motion._replace(speeds=speeds))
+
+    return acceleration
 
 
 def friction_creep(model: Model, dof: int) -> Creep | None:

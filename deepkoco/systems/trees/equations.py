@@ -12,7 +12,7 @@ from deepkoco.systems.parameter import Parameters
 from deepkoco.systems.plain import is_plain
 from deepkoco.systems.trees.base_tilt import turned_gravity
 from deepkoco.systems.trees.dynamics import Inertia, forward_dynamics
-from deepkoco.systems.trees.engine import late_damping
+from deepkoco.systems.trees.engine import ahead
 from deepkoco.systems.trees.fast import PASSIVE, FastLaw, TreeArrays
 from deepkoco.systems.trees.geometry import shaped, turned_forces, turned_inertias
 from deepkoco.systems.trees.loads import actuator_forces, clipped, passive_loads
@@ -54,8 +54,8 @@ class Numbers(NamedTuple):
             added = added_armatures(tree.actuators, steadying.least_inertias, passive, laws, step)
             passive["armature"] = [add(a, b) for a, b in zip(passive["armature"], added, strict=True)]
             if steadying.engine is not None:
-                late = late_damping(steadying.engine, tree.actuators, steadying.least_inertias, passive, laws)
-                passive["armature"] = [add(a, b) for a, b in zip(passive["armature"], late, strict=True)]
+                early = ahead(steadying.engine, tree.actuators, steadying.least_inertias, passive, laws)
+                passive["armature"] = [add(a, b) for a, b in zip(passive["armature"], early, strict=True)]
         inertias, forces = link_inertias(tree, parameters), outside_forces(tree, parameters)
         gravity, shape = turned_gravity(tree.gravity, parameters), shaped(tree, parameters)
         if shape is None:

@@ -46,12 +46,17 @@ class TreeRollout:
         law: Its equations of motion without dry friction.
         forces: Outside forces.
         loads: Loads of effects.
+        late: Time by which the speeds in all loads are late, as in an engine [s].
     """
 
     def __init__(
-        self, law: FastLaw, forces: Sequence[OutsideForce] = (), loads: Sequence[EffectLoad] = ()
+        self,
+        law: FastLaw,
+        forces: Sequence[OutsideForce] = (),
+        loads: Sequence[EffectLoad] = (),
+        late: float = 0.0,
     ) -> None:
-        self._law, self._forces, self._loads = law, tuple(forces), tuple(loads)
+        self._law, self._forces, self._loads, self._late = law, tuple(forces), tuple(loads), late
 
     def knows(self, kind: str) -> bool:
         """Whether the loop can add the loads of effects of this name."""
@@ -62,7 +67,7 @@ class TreeRollout:
         if not is_plain([v for load in loads for v in load.values]):
             return None
         known = (own for load in loads for own in _as_known(load))
-        return TreeRollout(self._law, self._forces, (*self._loads, *known))
+        return TreeRollout(self._law, self._forces, (*self._loads, *known), self._late)
 
     def run(self, given: RolloutInput) -> RolloutResult | None:
         """Simulate; None where a tensor is no plain number."""
@@ -121,7 +126,7 @@ class TreeRollout:
             np.array([force.joint for force in self._forces], np.int64), force_table(pulls, numbers),
             np.array(given.friction.joints, np.int64), creep_table(given.friction.creeps, given.friction.joints),
             steady.reshape(joints, groups), given.step, start, time, sent, begin, slope, loads,
-            1 if len(given.friction.joints) == 1 else SWEEPS, CLOSE, value, left, right,
+            1 if len(given.friction.joints) == 1 else SWEEPS, CLOSE, self._late, value, left, right,
         )  # fmt: skip
         return RolloutResult(*(_parts(x, shape) for x in (value, left, right)))
 

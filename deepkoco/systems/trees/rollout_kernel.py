@@ -21,7 +21,7 @@ from deepkoco.systems.trees.newton_euler_kernel import LOAD, ROWS, SPARE
 from deepkoco.systems.trees.step_kernel import mean_levels, runge_kutta
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "55de8d6116469e3b"
+COMPILED_WITH = "45cc30dd848e9e5f"
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -46,6 +46,7 @@ def tree_rollout(
     loads,  # (J, n, N) outside loads, or (0, n, N) for none
     sweeps,  # largest number, of dry friction
     close,  # change of an acceleration, as a share of it, at which these end
+    late,  # time by which the speeds in all loads are late [s]
     value,  # (2 J, n + 1, N) result: states at the nodes
     left,  # (J, n, N) result: accelerations at the start of each step
     right,  # (J, n, N) result: accelerations at its end
@@ -63,7 +64,7 @@ def tree_rollout(
     s, spare = np.empty((joints + 1, ROWS, LANES)), np.empty((SPARE, LANES))
     rows = (s, spare)
     masses = np.empty((2, joints, joints, LANES))
-    stages = np.empty((9, joints, LANES))
+    stages = np.empty((10, joints, LANES))
     which = np.arange(LANES)
     forces = np.empty((max(motors, 1), LANES))
     level = np.empty((joints, LANES))
@@ -130,7 +131,7 @@ def tree_rollout(
                     direction[j, i] = np.sign(speed[j, i]) + held[j, i]
             runge_kutta(
                 tree, own, effects, rows, masses, which, forces, level, stages, angle, speed, efforts, times, push,
-                own_steady, direction, step, q, v, first, last,
+                own_steady, direction, step, late, q, v, first, last,
             )  # fmt: skip
             some = False
             for i in range(LANES):
@@ -211,7 +212,7 @@ def tree_rollout(
                                 load[r, i] = 0.0
                 runge_kutta(
                     tree, own, effects, rows, masses, which, forces, level, stages, angle, speed, efforts, times, push,
-                    own_steady, direction, step, q, v, first, last,
+                    own_steady, direction, step, late, q, v, first, last,
                 )  # fmt: skip
                 for i in range(LANES):
                     if not turned[i]:

@@ -140,9 +140,12 @@ def accelerations(
 @njit(**UNCOUNTED)
 def runge_kutta(
     tree, own, effects, rows, masses, which, forces, level, stages, angle, speed, efforts, times, push, steady,
-    direction, step, end_angle, end_speed, first, last,
+    direction, step, late, end_angle, end_speed, first, last,
 ):  # fmt: skip
-    """One step of a block; ``masses[0]`` keeps the factors at its start."""
+    """One step of a block; ``masses[0]`` keeps the factors at its start.
+
+    Where speeds are late, each stage has the acceleration of the stage before, and the first one its own.
+    """
     joints = len(angle)
     angle, speed, end_angle, end_speed = (
         in_lanes(angle),
@@ -152,18 +155,25 @@ def runge_kutta(
     )
     stages, first, last = in_lanes(stages), in_lanes(first), in_lanes(last)
     v1, v2, v3, v4 = stages[0], stages[1], stages[2], stages[3]
-    a1, a2, a3, a4, q = stages[4], stages[5], stages[6], stages[7], stages[8]
+    a1, a2, a3, a4, q, before = stages[4], stages[5], stages[6], stages[7], stages[8], stages[9]
     for k in range(joints):
         for i in range(LANES):
             q[k, i], v1[k, i] = angle[k, i], speed[k, i]
     # One call in a loop: the compiler would repeat the equations of motion for each call.
-    for stage in range(4):
+    for call in range(0 if late != 0.0 else 1, 5):
+        stage = max(call - 1, 0)
         when, mass = (stage + 1) // 2, masses[min(stage, 1)]
+        for k in range(joints):
+            for i in range(LANES):
+                before[k, i] = stages[stage, k, i]
+            if late != 0.0 and call > 0:
+                for i in range(LANES):
+                    before[k, i] -= late * stages[4 + max(stage - 1, 0), k, i]
         accelerations(
-            tree, own, effects, rows, mass, which, forces, level, q, stages[stage], efforts[when], times[when], push,
+            tree, own, effects, rows, mass, which, forces, level, q, before, efforts[when], times[when], push,
             steady, direction, stages[4 + stage],
         )  # fmt: skip
-        if stage < 3:
+        if call > 0 and stage < 3:
             part = step if stage == 2 else 0.5 * step
             for k in range(joints):
                 for i in range(LANES):

@@ -146,13 +146,15 @@ class Engine:
     Attributes:
         creeps: How softly dry friction holds each joint.
         lead: Time before its step at which a command acts [s].
-        of_joints, of_drives: Times by which the damping of joints, and of servos, acts late [s]; below 0: early.
+        late: Time by which the speeds in all loads are late [s]; below 0: early.
+        joints_ahead, drives_ahead: Time by which the damping of joints, and of servos, is ahead of these speeds [s].
     """
 
     creeps: tuple[Creep, ...]
     lead: float = 0.0
-    of_joints: float = 0.0
-    of_drives: float = 0.0
+    late: float = 0.0
+    joints_ahead: float = 0.0
+    drives_ahead: float = 0.0
 
 
 @dataclass(frozen=True)

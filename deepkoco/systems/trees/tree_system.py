@@ -33,6 +33,7 @@ from deepkoco.systems.trees.base_tilt import tilt_parameters, turned_gravity
 from deepkoco.systems.trees.channels import command_channels, joint_channels, refuse_clashes
 from deepkoco.systems.trees.compile_tree import compile_tree
 from deepkoco.systems.trees.dynamics import inverse_mass, mass_matrix
+from deepkoco.systems.trees.engine import with_late_speeds
 from deepkoco.systems.trees.equations import Numbers, Steadying, actuators_of_joints, equations_of_motion
 from deepkoco.systems.trees.fast import TreeArrays
 from deepkoco.systems.trees.geometry import geometry_parameters
@@ -262,14 +263,17 @@ class TreeSystem(System):
         return self._law(Numbers.of(self.tree, parameters))
 
     def free_accelerations(self, parameters: Parameters) -> Acceleration:
-        return self._law(Numbers.of(self.tree, parameters, self._steadying).without_dry_friction())
+        law = self._law(Numbers.of(self.tree, parameters, self._steadying).without_dry_friction())
+        late = 0.0 if self._steadying.engine is None else self._steadying.engine.late
+        return law if late == 0.0 else with_late_speeds(law, late)
 
     def rollout(self, parameters: Parameters) -> TreeRollout | None:
         numbers = Numbers.of(self.tree, parameters, self._steadying).without_dry_friction()
         fast = numbers.without_forces().fast(self._arrays)
         if fast is None or not is_plain([x for force in numbers.forces for x in force.force]):
             return None
-        return TreeRollout(fast, numbers.forces)
+        late = 0.0 if self._steadying.engine is None else self._steadying.engine.late
+        return TreeRollout(fast, numbers.forces, late=late)
 
     def rolls(self, effect: Effect) -> bool:
         if effect.place == "load":

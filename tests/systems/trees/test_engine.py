@@ -65,6 +65,13 @@ def test_a_tree_moves_as_in_the_steps_of_mujoco(tmp_path, integrator, flag):
     (tmp_path / "arm.xml").write_text(text)
     machine, truth = load_system(tmp_path / "arm.xml"), in_mujoco(text)
     simulated = machine.with_engine()
+    print(
+        integrator,
+        flag,
+        np.sqrt(((in_ours(simulated, 0.004) - truth) ** 2).mean()),
+        np.sqrt(((in_ours(machine, 0.004) - truth) ** 2).mean()),
+        np.abs(truth).max(),
+    )
     error = np.sqrt(((in_ours(simulated, 0.004) - truth) ** 2).mean())
     assert error < 0.05 * np.sqrt(((in_ours(machine, 0.004) - truth) ** 2).mean())
     assert error < 1e-4 * np.abs(truth).max()
