@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
 from torch import Tensor
 
 from deepkoco.systems.creep import Creep
@@ -22,6 +23,7 @@ from deepkoco.systems.trees.stiffness import larger
 from deepkoco.systems.trees.tree import Actuator, Engine
 
 LARGEST_SHARE = 0.5
+JOINT = 0  # mjtTrn.mjTRN_JOINT
 LEAST_IMPEDANCE, MOST_IMPEDANCE = 1e-4, 0.9999  # mjMINIMP, mjMAXIMP
 
 
@@ -40,17 +42,44 @@ def engine_of(model: Model) -> Engine | None:
         return Engine(own)
     euler = model.opt.integrator == library.mjtIntegrator.mjINT_EULER
     explicit = euler and bool(model.opt.disableflags & library.mjtDisableBit.mjDSBL_EULERDAMP)
-    half = 0.5 * step
-    late = tuple(_with_late_speed(creep, half) for creep in own)
+    half, joints, drives = 0.5 * step, 0.0 if explicit else step, 0.0 if euler else step
+    late = tuple(
+        _in_steps(creep, half, share)
+        for creep, share in zip(own, _implicit_shares(model, joints, drives), strict=True)
+    )
     if model.opt.integrator == library.mjtIntegrator.mjINT_IMPLICIT:
         return Engine(late, half, -half)  # all smooth loads are implicit
-    return Engine(late, half, half, 0.0 if explicit else step, 0.0 if euler else step)
+    return Engine(late, half, half, joints, drives)
 
 
-def _with_late_speed(creep: Creep, late: float) -> Creep:
-    """The constraint D (v' + b (v - late v')), which MuJoCo finds from the speed of half a step before."""
-    kept = 1.0 - creep.rate * late
+def _in_steps(creep: Creep, late: float, share: float) -> Creep:
+    """The constraint D ((1 + share) v' + b (v - late v')) as one of v' and v alone.
+
+    MuJoCo finds the friction from the speed of half a step before, and from the acceleration without the armature that
+    stands for an implicit damping.
+
+    Args:
+        creep: The constraint of the file.
+        late: Half a step [s].
+        share: That armature, over the inertia that the joint moves.
+    """
+    kept = 1.0 + share - creep.rate * late
     return creep if kept <= 0.0 else Creep(creep.inertia * kept, creep.rate / kept)
+
+
+def _implicit_shares(model: Model, joints: float, drives: float) -> list[float]:
+    """Armature of each joint that stands for its implicit damping, over the inertia that it moves at the reference."""
+    own = {int(model.jnt_dofadr[j]): j for j in range(model.njnt)}
+    found = [0.0] * model.njnt
+    for dof, j in own.items():
+        damping = joints * float(np.ravel(model.dof_damping[dof])[0])
+        for a in range(model.nu):
+            if model.actuator_trntype[a] == JOINT and int(model.actuator_trnid[a, 0]) == j:
+                damping -= (
+                    drives * float(model.actuator_gear[a, 0]) ** 2 * float(model.actuator_biasprm[a, 2])
+                )
+        found[j] = damping * float(model.dof_invweight0[dof])
+    return found
 
 
 def ahead(
