@@ -28,11 +28,11 @@ class Creep(NamedTuple):
     """How softly dry friction holds a joint.
 
     Attributes:
-        inertia: D, with which it resists an acceleration [kg m2 or kg].
+        inertia: D (...), with which it resists an acceleration [kg m2 or kg].
         rate: b, at which it stops a motion while it is below its level [1/s].
     """
 
-    inertia: float
+    inertia: Tensor
     rate: float
 
 

@@ -120,7 +120,8 @@ def rubbed(
         creeps: As of :class:`DryFriction`.
     """
     joints = range(len(before))
-    if is_plain([*before, *after, *applied, *slide, *stick, *(w for row in inverse for w in row)]):
+    soft = [creep.inertia for creep in creeps or ()]
+    if is_plain([*before, *after, *applied, *slide, *stick, *soft, *(w for row in inverse for w in row)]):
         return _rubbed_in_a_loop(before, after, applied, slide, stick, inverse, h, creeps)
     load = {j: value for j, value in enumerate(applied) if value is not None}
     mean = [(b - a) / h for a, b in zip(before, after, strict=True)]
@@ -177,6 +178,7 @@ def _rubbed_in_a_loop(
     shape = np.broadcast_shapes(
         *(x.shape for x in (*before, *after, *(w for row in inverse for w in row))),
         *(_given(level).shape for j in rubbing for level in (applied[j], slide[j], stick[j])),
+        *(creep.inertia.shape for creep in creeps or ()),
     )
 
     def rows(values: Sequence[Tensor]) -> np.ndarray:
@@ -192,8 +194,9 @@ def _rubbed_in_a_loop(
     masses = rows([w for row in inverse for w in row]).reshape(joints, joints, -1)
     speed, moved, hold = np.empty_like(start), np.empty_like(start), np.empty_like(load)
     sweeps = 1 if len(rubbing) == 1 else SWEEPS
+    soft = creep_table(creeps, rubbing, shape).reshape(len(rubbing), 2, -1)
     rub(
-        start, ends, load, moving, resting, masses, np.array(rubbing, np.int64), creep_table(creeps, rubbing), h,
+        start, ends, load, moving, resting, masses, np.array(rubbing, np.int64), soft, h,
         sweeps, CLOSE, speed, moved, hold,
     )  # fmt: skip
     loads: list[Tensor | None] = [None] * joints
@@ -204,9 +207,13 @@ def _rubbed_in_a_loop(
     return Rubbed(whole[0], whole[1], tuple(loads), tuple(holds))
 
 
-def creep_table(creeps: Creeps, rubbing: Sequence[int]) -> np.ndarray:
-    """Inertia and rate of the creep of each rubbing joint (R, 2), for compiled loops; zeros where friction holds."""
-    return np.array([(0.0, 0.0) if creeps is None else creeps[j] for j in rubbing], float).reshape(-1, 2)
+def creep_table(creeps: Creeps, rubbing: Sequence[int], shape: tuple[int, ...]) -> np.ndarray:
+    """Inertia and rate of the creep of rubbing joints (R, 2, ...), for compiled loops; zeros where friction holds."""
+    table = np.zeros((len(rubbing), 2, *shape))
+    for r, j in enumerate(rubbing):
+        if creeps is not None:
+            table[r, 0], table[r, 1] = creeps[j].inertia.numpy(), creeps[j].rate
+    return table
 
 
 def sliding_loads(levels: Levels, direction: Levels) -> Levels:

@@ -67,8 +67,10 @@ def rub_element(
             others = mean[j] - own * load[r, n]
             least = own * stick[r, n]
             v = before[j, n]
-            if creeps[r, 0] > 0.0:
-                end, way = slide_and_creep(v, others, slide[r, n], own, creeps[r, 0], creeps[r, 1], step)
+            if creeps[r, 0, n] > 0.0:
+                end, way = slide_and_creep(
+                    v, others, slide[r, n], own, creeps[r, 0, n], creeps[r, 1, n], step
+                )
             else:
                 pace, sign = abs(v), np.sign(v)
                 brake = own * slide[r, n] - sign * others
@@ -102,7 +104,7 @@ def rub(
     stick,  # (R, N) levels of joints at rest, not negative
     inverse,  # (J, J, N) inverse inertia
     rubbing,  # (R,) indices of the rubbing joints
-    creeps,  # (R, 2) inertia and rate of their creep; an inertia of 0 where friction holds
+    creeps,  # (R, 2, N) inertia and rate of their creep; an inertia of 0 where friction holds
     step,  # [s]
     sweeps,  # largest number
     close,  # change of an acceleration, as a share of it, at which the sweeps end

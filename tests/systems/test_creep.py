@@ -49,7 +49,7 @@ def test_a_step_is_the_motion_under_the_soft_constraint(speed, free, level, own,
 
     h = 0.02
     exact = solve_ivp(lambda _, y: [y[1], acceleration(y[1])], (0, h), [0.0, speed], rtol=1e-9, atol=1e-11)
-    after, way = stepped(speed, free, level, own, Creep(inertia, rate), h)
+    after, way = stepped(speed, free, level, own, Creep(number(inertia), rate), h)
     assert after == pytest.approx(exact.y[1, -1], abs=2e-6)
     assert way == pytest.approx(exact.y[0, -1], abs=2e-8)
 
@@ -59,13 +59,13 @@ def test_a_step_is_the_motion_under_the_soft_constraint(speed, free, level, own,
 def test_a_stiff_constraint_holds_as_friction_at_rest_does(speed, free, level):
     own, h = 10.0, 0.02
     rigid = slide_and_rest(number(speed), number(free), number(own * level), number(own * level), h)
-    after, way = stepped(speed, free, level, own, Creep(1e6, 1e6), h)
+    after, way = stepped(speed, free, level, own, Creep(number(1e6), 1e6), h)
     assert after == pytest.approx(float(rigid[0]), abs=1e-4)
     assert way == pytest.approx(float(rigid[1]), abs=1e-5)
 
 
 def test_a_joint_below_its_level_creeps_at_load_over_d_times_b():
-    load, own, creep = 0.1, 80.0, Creep(0.11, 105.0)
+    load, own, creep = 0.1, 80.0, Creep(number(0.11), 105.0)
     after, way = stepped(load / (0.11 * 105.0), own * load, 0.12, own, creep, 0.05)
     assert after == pytest.approx(load / (0.11 * 105.0))
     assert way == pytest.approx(0.05 * load / (0.11 * 105.0))
@@ -83,7 +83,8 @@ def test_the_compiled_loop_agrees_with_torch(seed, joints):
         rng.uniform(0.1, 1.0, joints),
     )
     creeps = tuple(
-        Creep(d, b) for d, b in zip(rng.uniform(0.5, 3.0, joints), rng.uniform(20, 150, joints), strict=True)
+        Creep(number(d), b)
+        for d, b in zip(rng.uniform(0.5, 3.0, joints), rng.uniform(20, 150, joints), strict=True)
     )
 
     def tensors(values, grad=False):

@@ -30,8 +30,11 @@ def resting_stamps(
     noise: tuple[Noise, ...],
     length: float,
 ) -> np.ndarray | None:
-    """Stamps at which a joint rests; None without dry friction or without a measured position."""
-    if not system.dry_friction:
+    """Stamps at which a joint rests; None without dry friction or without a measured position.
+
+    A joint whose friction creeps never rests: a simulation follows it there, too.
+    """
+    if not system.dry_friction or system.engine is not None:
         return None
     found = []
     for channel, state, own in zip(system.measurements, system.measured_states, noise, strict=True):

@@ -14,13 +14,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from torch import Tensor
 
-from deepkoco.systems.creep import Creep
 from deepkoco.systems.motion import Acceleration, Motion
 from deepkoco.systems.trees.mujoco_library import Model, mujoco_library
 from deepkoco.systems.trees.parameters import Law
 from deepkoco.systems.trees.scalars import Scalar, add, mul
 from deepkoco.systems.trees.stiffness import larger
-from deepkoco.systems.trees.tree import Actuator, Engine
+from deepkoco.systems.trees.tree import Actuator, Engine, Softness
 
 LARGEST_SHARE = 0.5
 JOINT = 0  # mjtTrn.mjTRN_JOINT
@@ -33,38 +32,38 @@ def engine_of(model: Model) -> Engine | None:
     Args:
         model: Compiled model.
     """
-    creeps = [friction_creep(model, int(model.jnt_dofadr[j])) for j in range(model.njnt)]
+    soft = [friction_softness(model, int(model.jnt_dofadr[j])) for j in range(model.njnt)]
     step = float(model.opt.timestep)
-    if not step > 0.0 or any(creep is None for creep in creeps):
+    if not step > 0.0 or any(own is None for own in soft):
         return None
-    library, own = mujoco_library(), tuple(creep for creep in creeps if creep is not None)
+    library, own = mujoco_library(), tuple(each for each in soft if each is not None)
     if model.opt.integrator == library.mjtIntegrator.mjINT_RK4:
         return Engine(own)
     euler = model.opt.integrator == library.mjtIntegrator.mjINT_EULER
     explicit = euler and bool(model.opt.disableflags & library.mjtDisableBit.mjDSBL_EULERDAMP)
     half, joints, drives = 0.5 * step, 0.0 if explicit else step, 0.0 if euler else step
     late = tuple(
-        _in_steps(creep, half, share)
-        for creep, share in zip(own, _implicit_shares(model, joints, drives), strict=True)
+        _in_steps(each, half, share)
+        for each, share in zip(own, _implicit_shares(model, joints, drives), strict=True)
     )
     if model.opt.integrator == library.mjtIntegrator.mjINT_IMPLICIT:
         return Engine(late, half, -half)  # all smooth loads are implicit
     return Engine(late, half, half, joints, drives)
 
 
-def _in_steps(creep: Creep, late: float, share: float) -> Creep:
+def _in_steps(soft: Softness, late: float, share: float) -> Softness:
     """The constraint D ((1 + share) v' + b (v - late v')) as one of v' and v alone.
 
     MuJoCo finds the friction from the speed of half a step before, and from the acceleration without the armature that
     stands for an implicit damping.
 
     Args:
-        creep: The constraint of the file.
+        soft: The constraint of the file.
         late: Half a step [s].
         share: That armature, over the inertia that the joint moves.
     """
-    kept = 1.0 + share - creep.rate * late
-    return creep if kept <= 0.0 else Creep(creep.inertia * kept, creep.rate / kept)
+    kept = 1.0 + share - soft.rate * late
+    return soft if kept <= 0.0 else Softness(soft.inertia * kept, soft.rate / kept)
 
 
 def _implicit_shares(model: Model, joints: float, drives: float) -> list[float]:
@@ -116,7 +115,7 @@ def with_late_speeds(law: Acceleration, late: float) -> Acceleration:
     return acceleration
 
 
-def friction_creep(model: Model, dof: int) -> Creep | None:
+def friction_softness(model: Model, dof: int) -> Softness | None:
     """The soft constraint of a degree of freedom, from ``solreffriction`` and ``solimpfriction``.
 
     The violation of a friction constraint is always 0, so its impedance is the first of the five numbers, and its
@@ -141,4 +140,4 @@ def friction_creep(model: Model, dof: int) -> Creep | None:
         rate = -damping / most
     if not rate > 0.0:
         return None
-    return Creep(impedance / ((1.0 - impedance) * float(model.dof_invweight0[dof])), rate)
+    return Softness(impedance / (1.0 - impedance), rate)

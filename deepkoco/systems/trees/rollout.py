@@ -74,7 +74,8 @@ class TreeRollout:
         from deepkoco.systems.trees.effect_kernel import MOST_VALUES
         from deepkoco.systems.trees.rollout_kernel import tree_rollout
 
-        tensors = [*given.start, *given.begin, *given.slope, given.loads, *given.friction.steady]
+        soft = [creep.inertia for creep in given.friction.creeps or ()]
+        tensors = [*given.start, *given.begin, *given.slope, given.loads, *given.friction.steady, *soft]
         if not is_plain(tensors):
             return None
         law, joints = self._law, len(given.start) // 2
@@ -82,7 +83,12 @@ class TreeRollout:
         listed = [v for load in self._loads for v in load.values]
         levels = given.friction.steady
         pulls = force_parts(self._forces)
-        drawn = (*listed, *(x for x in levels if x is not None), *(x for x in pulls if isinstance(x, Tensor)))
+        drawn = (
+            *listed,
+            *soft,
+            *(x for x in levels if x is not None),
+            *(x for x in pulls if isinstance(x, Tensor)),
+        )
         numbers = common_shape((law.shape, *(tuple(v.shape) for v in drawn)))
         values = np.zeros((len(self._loads), MOST_VALUES, *numbers))
         for row, load in enumerate(self._loads):
@@ -118,13 +124,14 @@ class TreeRollout:
             _in_groups(x, law.shape, numbers) for x in (law.inertia, law.gravity, law.passive, law.law)
         )
         time = np.array(np.broadcast_to(given.time.numpy(), shape)).ravel()
+        creeps = creep_table(given.friction.creeps, given.friction.joints, numbers).reshape(-1, 2, groups)
         tree_rollout(
             tree, group, own,
             np.array([KNOWN[load.kind] for load in self._loads], np.int64),
             np.array([(load.joint, load.source) for load in self._loads], np.int64).reshape(-1, 2),
             values.reshape(len(self._loads), MOST_VALUES, groups),
             np.array([force.joint for force in self._forces], np.int64), force_table(pulls, numbers),
-            np.array(given.friction.joints, np.int64), creep_table(given.friction.creeps, given.friction.joints),
+            np.array(given.friction.joints, np.int64), creeps,
             steady.reshape(joints, groups), given.step, start, time, sent, begin, slope, loads,
             1 if len(given.friction.joints) == 1 else SWEEPS, CLOSE, self._late, value, left, right,
         )  # fmt: skip

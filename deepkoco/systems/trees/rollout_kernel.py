@@ -21,7 +21,7 @@ from deepkoco.systems.trees.newton_euler_kernel import LOAD, ROWS, SPARE
 from deepkoco.systems.trees.step_kernel import mean_levels, runge_kutta
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "45cc30dd848e9e5f"
+COMPILED_WITH = "bfd42f42a8562bbd"
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -35,7 +35,7 @@ def tree_rollout(
     pulled,  # (K,) joint of each outside force
     pulls,  # (K, 6, G) force in the base's frame [N], then its point in the joint's frame [m]
     rubbing,  # (R,) joints with dry friction
-    creeps,  # (R, 2) inertia and rate of their creep; an inertia of 0 where friction holds
+    creeps,  # (R, 2, G) inertia and rate of their creep; an inertia of 0 where friction holds
     steady,  # (J, G) levels of dry friction that depend on parameters alone
     step,  # [s]
     start,  # (2 J, N) angles, then speeds
@@ -72,7 +72,7 @@ def tree_rollout(
     own_inertia, own_gravity = np.empty((joints, 10, LANES)), np.empty((3, LANES))
     own_passive, own_law = np.empty((joints, 5, LANES)), np.empty((max(motors, 1), 8, LANES))
     own_values, own_steady = np.empty((len(kinds), MOST_VALUES, LANES)), np.zeros((joints, LANES))
-    own_pulls = np.empty((len(pulled), 6, LANES))
+    own_pulls, own_creeps = np.empty((len(pulled), 6, LANES)), np.empty((len(rubbing), 2, LANES))
     room, friction = np.zeros((14, joints, LANES)), np.empty((4, len(rubbing), LANES))
     angle, speed, q, v, first, last, push = room[0], room[1], room[2], room[3], room[4], room[5], room[6]
     direction, held, slide, stick, scratch, end, moved = (
@@ -109,6 +109,9 @@ def tree_rollout(
             for m in range(len(pulled)):
                 for row in range(6):
                     own_pulls[m, row, i] = pulls[m, row, g]
+            for r in range(len(rubbing)):
+                for row in range(2):
+                    own_creeps[r, row, i] = creeps[r, row, g]
         for k in range(joints):
             for i in range(size):
                 value[k, 0, at + i], value[joints + k, 0, at + i] = angle[k, i], speed[k, i]
@@ -142,7 +145,7 @@ def tree_rollout(
                     if speed[j, i] * v[j, i] <= 0.0:
                         turned[i] = True
                         some = True
-                if creeps[r, 0] > 0.0:
+                if own_creeps[r, 0, 0] > 0.0:
                     mean_levels(
                         tree,
                         own,
@@ -164,8 +167,8 @@ def tree_rollout(
                             first[j, i],
                             last[j, i],
                             slide[j, i],
-                            creeps[r, 0],
-                            creeps[r, 1],
+                            own_creeps[r, 0, i],
+                            own_creeps[r, 1, i],
                         ):
                             turned[i] = True
                             some = True
@@ -198,8 +201,8 @@ def tree_rollout(
                         for k in range(joints):
                             accelerated[k] = (v[k, i] - speed[k, i]) / step
                         rub_element(
-                            speed, load, moving, resting, inverse, rubbing, creeps, accelerated, step, sweeps, close,
-                            end, moved, hold, i,
+                            speed, load, moving, resting, inverse, rubbing, own_creeps, accelerated, step, sweeps,
+                            close, end, moved, hold, i,
                         )  # fmt: skip
                         for r in range(len(rubbing)):
                             j = rubbing[r]
@@ -220,8 +223,8 @@ def tree_rollout(
                     for k in range(joints):
                         accelerated[k] = (v[k, i] - speed[k, i]) / step
                     rub_element(
-                        speed, load, moving, resting, inverse, rubbing, creeps, accelerated, step, sweeps, close, end,
-                        moved, hold, i,
+                        speed, load, moving, resting, inverse, rubbing, own_creeps, accelerated, step, sweeps, close,
+                        end, moved, hold, i,
                     )  # fmt: skip
                     for k in range(joints):
                         if not is_rubbing[k]:
@@ -235,14 +238,14 @@ def tree_rollout(
                         stays = v[j, i] == 0.0
                         if stays and speed[j, i] == 0.0:
                             q[j, i] = angle[j, i]
-                        creep = creeps[r, 0] > 0.0 and not slips(
+                        creep = own_creeps[r, 0, i] > 0.0 and not slips(
                             speed[j, i],
                             v[j, i],
                             first[j, i],
                             last[j, i],
                             slide[j, i],
-                            creeps[r, 0],
-                            creeps[r, 1],
+                            own_creeps[r, 0, i],
+                            own_creeps[r, 1, i],
                         )
                         if creep or speed[j, i] * v[j, i] <= 0.0:
                             first[j, i] = last[j, i] = (v[j, i] - speed[j, i]) / step

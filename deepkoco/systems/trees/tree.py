@@ -7,8 +7,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from deepkoco.systems.creep import Creep
-
 CLOSE = 1e-14  # entries of rotations that are this close to 0 or 1 are meant to be
 
 Vector = tuple[float, float, float]
@@ -139,18 +137,30 @@ class Actuator:
     delay: float = 0.0
 
 
+class Softness(NamedTuple):
+    """How softly the engine of a file lets dry friction hold a joint.
+
+    Attributes:
+        inertia: With which it resists an acceleration, over the inertia that the joint moves at its reference.
+        rate: At which it stops a motion while it is below its level [1/s].
+    """
+
+    inertia: float
+    rate: float
+
+
 @dataclass(frozen=True)
 class Engine:
     """What a simulation of a tree by the engine of its file does, and a machine does not.
 
     Attributes:
-        creeps: How softly dry friction holds each joint.
+        softness: How softly dry friction holds each joint.
         lead: Time before its step at which a command acts [s].
         late: Time by which the speeds in all loads are late [s]; below 0: early.
         joints_ahead, drives_ahead: Time by which the damping of joints, and of servos, is ahead of these speeds [s].
     """
 
-    creeps: tuple[Creep, ...]
+    softness: tuple[Softness, ...]
     lead: float = 0.0
     late: float = 0.0
     joints_ahead: float = 0.0

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from deepkoco.systems.creep import Creep
 from deepkoco.systems.drawn import Outline
 from deepkoco.systems.drives import AS_A_LOAD
 from deepkoco.systems.dry_friction import DryFriction, Levels
@@ -241,12 +242,16 @@ class TreeSystem(System):
         )
 
     def dry_friction_levels(self, parameters: Parameters) -> DryFriction:
-        friction = super().dry_friction_levels(parameters)
-        return (
-            friction
-            if self._steadying.engine is None
-            else replace(friction, creeps=self._steadying.engine.creeps)
+        friction, engine = super().dry_friction_levels(parameters), self._steadying.engine
+        if engine is None:
+            return friction
+        own = Numbers.of(self.tree, parameters)
+        at = [torch.tensor(joint.reference, dtype=torch.float64) for joint in self.tree.joints]
+        inverse = inverse_mass(own.joints, own.inertias, own.passive["armature"], at)
+        creeps = tuple(
+            Creep(soft.inertia / inverse[j][j], soft.rate) for j, soft in enumerate(engine.softness)
         )
+        return replace(friction, creeps=creeps)
 
     engine = property(lambda self: None if self._steadying.engine is None else "MuJoCo")
 

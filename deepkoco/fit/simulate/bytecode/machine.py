@@ -18,7 +18,7 @@ from deepkoco.systems.sines import FARTHEST, near_sine_and_cosine
 from deepkoco.systems.uncounted import UNCOUNTED
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "b9d714fc7a29e149"
+COMPILED_WITH = "6ae1eff10064b9bb"
 
 OPCODES = (
     "add", "sub", "mul", "div", "neg", "abs", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh",
@@ -211,7 +211,7 @@ def bind(table, near, n, state_rows, rubbing, level_rows, inverse_rows, rows, h)
         stick,
         inverse,
         rubbing,
-        np.zeros((r, 2)),
+        np.zeros((r, 2, count)),
         h,
         1 if r == 1 else SWEEPS,
         CLOSE,

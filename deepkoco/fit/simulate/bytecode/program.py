@@ -101,7 +101,7 @@ class _Builder:
         plain = equations_of(
             system, {n: torch.tensor(v, dtype=torch.float64) for n, v in given.items()}, None
         )
-        if plain.friction.creeps is not None:
+        if plain.friction.creeps is not None and plain.friction.joints:
             raise TraceError("friction that creeps")
         self.rubbing, self.memories = plain.friction.joints, len(plain.memory.parts)
         count, joints = len(system.commands), range(system.joints)
