@@ -289,3 +289,14 @@ def test_the_name_of_an_actuator_may_stand_beside_a_word_for_a_goal(tmp_path, na
     moving = swings("first_pos_rad", "second_pos_rad", *wanted.values())
     choices, _, _ = machine(tmp_path, motors, pd.DataFrame({"t": 0.01 * np.arange(600), **moving}))
     assert {motor: choices[motor].column.name for motor in wanted} == wanted
+
+
+@pytest.mark.parametrize("name", ["second_speed [rpm]", "dq_second", "second_velocity [rad/s]"])
+def test_a_joint_may_have_a_speed_alone(tmp_path, name):
+    motors = '<motor name="m1" joint="first"/><motor name="m2" joint="second"/>'
+    moving = swings("first_pos_rad", name, "m1_cmd", "m2_cmd")
+    choices, _, _ = machine(tmp_path, motors, pd.DataFrame({"t": 0.01 * np.arange(600), **moving}))
+    assert choices["dq_second"].column.name == name
+    assert choices["dq_second"].unit == ("rpm" if "rpm" in name else "rad/s")
+    assert choices["q_second"].column is None
+    assert choices["dq_first"].column is None

@@ -96,7 +96,9 @@ def at_another_place(ranking: Ranking, reference: Fit) -> bool:
 
 
 def in_front(ranking: Ranking) -> tuple[list[Candidate], list[Candidate]]:
-    """Return the candidates whose optimum is a start, and those that start there."""
+    """Return the candidates whose optimum is a start, and those that start there; none where nothing was fitted."""
+    if not ranking.candidates:
+        return [], []
     fitted = [c for c in ranking.candidates if c.cause.free and c.fit is not ranking.reference]
     least = ranking.best.delta_bic - CLOSE_BEHIND * abs(ranking.best.delta_bic)
     close = [c for c in fitted if c.delta_bic >= least]

@@ -255,13 +255,17 @@ def _advice(request: DiagnosisRequest, explanation: Explanation, judgement: Judg
 
 
 def _details(request: DiagnosisRequest, base: Refitted, judgement: Judgement) -> Details:
-    prior = base.learned.prior
-    spread = np.sqrt(np.diag(prior.covariance))
+    # A fit may have effects that the baseline had not, because any unit has a little of them.
+    priors = {
+        n: (float(m), float(s))
+        for prior in (base.start.prior, base.learned.prior)
+        for n, m, s in zip(prior.names, prior.centre, np.sqrt(np.diag(prior.covariance)), strict=True)
+    }
     return Details(
         system=base.start.system,
         channels=tuple((c.name, c.unit) for c in request.system.measurements),
         command_units=tuple(c.unit for c in request.system.commands),
-        priors={n: (float(m), float(s)) for n, m, s in zip(prior.names, prior.centre, spread, strict=True)},
+        priors=priors,
         windows=base.train,
         nominal=_as_given(base) if base.held is None else None,
         refit=base.reference,

@@ -31,7 +31,9 @@ def error_map(diagnosis: Diagnosis, details: Details, layout: Layout) -> Picture
     turning = system.state_units[joint] == "rad"
     x = one_turn(missing.theta) if turning else missing.theta
     y = missing.omega
-    seen = np.isfinite(error["refit"])
+    seen = np.isfinite(error["refit"]) & np.isfinite(x) & np.isfinite(y)
+    if not seen.any():
+        return None  # a gyro alone shows no position
     cells = {name: _cells(x[seen], y[seen], e[seen]) for name, e in error.items()}
     shown = np.concatenate([c[2][np.isfinite(c[2])] for c in cells.values()])
     scale = LogNorm(max(float(shown.min()), 1e-3 * float(shown.max()), 1e-12), max(float(shown.max()), 1e-11))

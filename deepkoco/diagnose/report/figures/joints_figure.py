@@ -66,8 +66,9 @@ def _pose(diagnosis: Diagnosis, system: System) -> np.ndarray:
     pose = np.zeros(system.joints)
     if windows is not None:
         for c, state in enumerate(windows.shows):
-            if state < system.joints:
-                pose[state] = float(np.median(windows.value[:, c].numpy()[windows.valid[:, c].numpy()]))
+            valid = windows.valid[:, c].numpy()
+            if state < system.joints and valid.any():
+                pose[state] = float(np.median(windows.value[:, c].numpy()[valid]))
     return pose
 
 

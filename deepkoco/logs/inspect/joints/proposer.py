@@ -71,6 +71,7 @@ def propose_joints(surveys: Sequence[Survey], system: System) -> Proposal:
     measured = with_one_scale(
         [_measurement(survey, system, c, by_number, findings) for c in system.measurements]
     )
+    measured = [_speed_alone(survey, choice, set(by_number), system) for choice in measured]
     commanded = [_command(survey, system, k, by_number, findings) for k in range(len(system.commands))]
     shown = {c.column.label for c in measured if c.column is not None}
     commanded = [_by_name(survey, choice, shown) for choice in commanded]
@@ -242,6 +243,31 @@ def _measurement(
         why = (f'"{column.name}" is left out: it is not the derivative of the position',)
         return Choice(channel, None, channel.unit, False, 1.0, why)
     return _chosen(channel, column, speed, finding, (finding.reason,), finding.sign * speed.scale, 0.0)
+
+
+def _speed_alone(survey: Survey, choice: Choice, placed: set[int], system: System) -> Choice:
+    """A speed without a column, with the one that is called as its joint: a gyro or a tachometer without a position.
+
+    Args:
+        survey: Of the log.
+        choice: For a measurement.
+        placed: Numbers of the joints of which the log shows the position.
+        system: The system.
+    """
+    name = choice.channel.name
+    joint = next((j for j, own in enumerate(system.joint_names) if name == f"dq_{own}"), None)
+    if choice.column is not None or joint is None or joint in placed:
+        return choice
+    label, quantity = role_in_name(system.joint_names[joint])[1], parse_unit(choice.channel.unit).quantity
+    found = []
+    for column in survey.columns:
+        unit = column.hints.unit
+        exact = unit is None and column.name.strip().lower() == name.lower()
+        if column.usable and (exact or (role_of(column) == ("speed", label) and unit is not None)):
+            unit = choice.channel.unit if unit is None else unit
+            if parse_unit(unit).quantity == quantity:
+                found.append(Choice(choice.channel, column, unit, True, NAMED, ("the same name",)))
+    return found[0] if len(found) == 1 else choice
 
 
 def _command(
