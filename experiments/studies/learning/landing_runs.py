@@ -34,16 +34,21 @@ from deepkoco.systems.bodies.quadrotor import attitude_for
 from deepkoco.yaml_file import read_yaml
 from experiments.studies.diagnosis.identify_quadrotor import DELAYS
 from experiments.studies.learning.circle_runs import identified, make_unit
+from experiments.studies.learning.landing_guidance import GuidedLanding
 from experiments.studies.learning.landing_unit import FLIGHT_STEPS, LandingUnits
 
 TASK = "inclined_landing"
 METHODS = ("without", "delays")  # of the training: without any delay, and with those that are known
-LEVEL = "level"  # a controller tuned by hand that follows the deck and comes down level
+LEVEL = "level"  # a controller made by hand that follows the deck and comes down level
+GUIDED = (
+    "guided_without",
+    "guided_delays",
+)  # one that ends in the deck's attitude: it knows of no delay, or of those
+WAYS = (LEVEL, *GUIDED, *METHODS)
 FURTHER = 0.04  # delay of the commands beyond those of the thesis, of radio and motion capture [s]
 DECK_DELAYS = (0.08, 0.12)  # of the measured deck; each unit has one of these [s]
 HISTORY = 12  # past actions that are seen: 240 ms
 SPREAD, DELAY_SPREAD = 0.05, 0.006  # parameters vary by this share about their estimates, delays by this [s]
-DECK_SPREAD = 0.02  # the delay of the deck is known to this [s]
 INCLINES = tuple(np.radians((0.0, 5.0, 10.0, 15.0, 20.0, 25.0)).tolist())  # [rad]
 SPEEDS = (0.0, 0.25, 0.5, 0.75, 1.0)  # [m/s]
 FLIGHTS = 20  # of each cell
@@ -86,18 +91,31 @@ class LevelLanding:
         return (np.array(command) - CENTRE) / SCALE
 
 
+def by_hand(method: str, values: Mapping[str, float]) -> Controller:
+    """A controller that is made by hand.
+
+    Args:
+        method: `LEVEL`, or one of `GUIDED`.
+        values: What was identified of the unit. The delay of its deck is known to lie in `DECK_DELAYS`.
+    """
+    if method == LEVEL:
+        return LevelLanding(values["mass"])
+    if method == GUIDED[0]:
+        return GuidedLanding({**values, **dict.fromkeys(DELAYS, 0.0)}, 0.0)
+    return GuidedLanding(values, float(np.mean(DECK_DELAYS)))
+
+
 def deck_delay(seed: int) -> float:
     """Delay of the measured deck of a unit [s]."""
     return float(np.random.default_rng([seed, 25]).uniform(*DECK_DELAYS))
 
 
-def make_simulation(method: str, values: Mapping[str, float], late: float) -> Callable[[int, int], VectorEnv]:
+def make_simulation(method: str, values: Mapping[str, float]) -> Callable[[int, int], VectorEnv]:
     """The factory of the environments of a training.
 
     Args:
         method: One of `METHODS`.
         values: Parameters and delays of the commands, about which episodes draw theirs.
-        late: Delay of the measured deck, likewise [s].
     """
     ranges = {f"world.{name}": _about(name, value, SPREAD * value) for name, value in values.items()}
     for name in DELAYS:
@@ -105,7 +123,7 @@ def make_simulation(method: str, values: Mapping[str, float], late: float) -> Ca
             (0.0, 0.0) if method == "without" else _about(name, values[name], DELAY_SPREAD)
         )
     if method != "without":
-        ranges["deck_sensor->agent"] = (late - DECK_SPREAD, late + DECK_SPREAD)
+        ranges["deck_sensor->agent"] = DECK_DELAYS
 
     def make(count: int, seed: int) -> VectorEnv:
         return LandingVectorEnv(
@@ -178,7 +196,7 @@ def run(method: str, seed: int, episodes: int | None) -> dict[str, Any]:
     """Identify a unit, make what lands it, and land it on a grid of inclines and speeds.
 
     Args:
-        method: One of `METHODS`, or `LEVEL`.
+        method: One of `WAYS`.
         seed: Of the unit and the training.
         episodes: Of a training; None: as stored.
 
@@ -191,16 +209,19 @@ def run(method: str, seed: int, episodes: int | None) -> dict[str, Any]:
     values = identified(true, seed)
     fitted = time.process_time() - begun
     begun, last = time.process_time(), {"cost": float("nan"), "steps": 0.0}
-    if method == LEVEL:
-        controller: Controller = LevelLanding(values["mass"])
-    else:
-        controller, last = train(method, seed, values, late, episodes)
+    policy: PpoPolicy | None = None
+    if method in METHODS:
+        policy, last = train(method, seed, values, episodes)
     training = {**last, "cpu_seconds": time.process_time() - begun}
     first = derive_seed(seed, Purpose.FINAL_EVALUATION) % 2**31
     landings, _ = land(
-        controller, true, late, [(i, v) for i in INCLINES for v in SPEEDS for _ in range(FLIGHTS)], first
+        policy or by_hand(method, values),
+        true,
+        late,
+        [(i, v) for i in INCLINES for v in SPEEDS for _ in range(FLIGHTS)],
+        first,
     )
-    _, steps = land(controller, true, late, FILMED, first)
+    _, steps = land(policy or by_hand(method, values), true, late, FILMED, first)
     return {
         "true": {**true, "deck_delay": late},
         "found": values,
@@ -212,7 +233,7 @@ def run(method: str, seed: int, episodes: int | None) -> dict[str, Any]:
 
 
 def train(
-    method: str, seed: int, values: Mapping[str, float], late: float, episodes: int | None
+    method: str, seed: int, values: Mapping[str, float], episodes: int | None
 ) -> tuple[PpoPolicy, dict[str, float]]:
     """A policy for a unit, and cost in the simulation and steps of its training.
 
@@ -220,12 +241,11 @@ def train(
         method: One of `METHODS`.
         seed: Of the training.
         values: What is known of the unit.
-        late: What is known of the delay of its measured deck [s].
         episodes: Of the training; None: as stored.
     """
     config = make_config(**({} if episodes is None else {"total_episodes": episodes}))
     with tempfile.TemporaryDirectory() as folder:
-        trainer = PpoTrainer(make_simulation(method, values, late), config, seed, Path(folder))
+        trainer = PpoTrainer(make_simulation(method, values), config, seed, Path(folder))
         last = trainer.run()
         return trainer.policy, {"cost": last["evaluation/cost"], "steps": last["steps"]}
 
@@ -233,7 +253,7 @@ def train(
 def main(arguments: Sequence[str] | None = None) -> int:
     """Identify, train, land, and write the result as JSON; returns the exit status."""
     parser = argparse.ArgumentParser(description="Train policies for a hidden quadrotor and land it.")
-    parser.add_argument("kind", choices=[LEVEL, *METHODS])
+    parser.add_argument("kind", choices=WAYS)
     parser.add_argument("seed", type=int)
     parser.add_argument("out", type=Path, help="new file")
     parser.add_argument("--training", type=int, default=None, help="episodes of the training")
