@@ -105,11 +105,11 @@ def test_a_guided_landing_that_knows_no_delay_follows_the_deck_from_behind():
     assert offsets[1] < 0.5 * offsets[0]
 
 
-def stored_run(method: str, seed: int) -> dict:
+def stored_run(kind: str, seed: int) -> dict:
     cells = [(i, v) for i in (0.0, np.radians(25.0)) for v in (0.0, 1.0)]
     one = {"touched": True, "time": 1.0, "offset": 0.1, "sink": 0.3, "slip": 0.2, "tilt": 0.1}
     landings = [
-        {"incline": i, "speed": v, "success": method == "delays", **one} for i, v in cells for _ in range(2)
+        {"incline": i, "speed": v, "success": kind == "delays", **one} for i, v in cells for _ in range(2)
     ]
     steps, decks = 6, len(runs.FILMED)
     film = {
@@ -121,15 +121,15 @@ def stored_run(method: str, seed: int) -> dict:
     }
     training = {"cost": 8.0, "steps": 10, "cpu_seconds": 40.0 + seed}
     return {
-        "method": method, "seed": seed, "fit_cpu_seconds": 1.0, "cpu_seconds": 50.0, "commit": "abc",
-        "landings": landings, "training": training, "film": film,
+        "method": kind, "seed": seed, "fit_cpu_seconds": 1.0, "cpu_seconds": 50.0, "commit": "abc",
+        "ways": {method: {"landings": landings, "training": training, "film": film} for method in runs.KINDS[kind]},
     }  # fmt: skip
 
 
 def test_results_become_tables_maps_and_a_film(tmp_path):
-    for method in (runs.LEVEL, *runs.METHODS):  # a study of some of the ways
+    for kind in ("by_hand", "delays"):  # a study of some of the ways
         for seed in (0, 1):
-            (tmp_path / f"{method}_{seed}.json").write_text(json.dumps(stored_run(method, seed)))
+            (tmp_path / f"{kind}_{seed}.json").write_text(json.dumps(stored_run(kind, seed)))
     found, landings = study.tables(tmp_path)
     cells = study.success_map(landings)
     steep = cells[(cells["method"] == "delays") & (cells["incline_deg"] == 25.0) & (cells["speed"] == 1.0)]
@@ -138,7 +138,7 @@ def test_results_become_tables_maps_and_a_film(tmp_path):
     text = study.summary(found, landings)
     assert "| trained with delays | 1.00 [0.81, 1.00], seeds 1.00 to 1.00 |" in text
     assert "delays: 40 to 41 processor seconds a training" in text
-    assert len(study.draw_maps(cells).axes) == 4
+    assert len(study.draw_maps(cells).axes) == 5
     films = study.films_of(tmp_path, 0)
-    assert len(study.draw_strip(films, 2).axes) == 3 * study.SHOWN
-    assert study.frames(films)[0].shape == (3 * study.SIZE, 3 * study.SIZE, 3)
+    assert len(study.draw_strip(films, 2).axes) == 4 * study.SHOWN
+    assert study.frames(films)[0].shape == (4 * study.SIZE, 3 * study.SIZE, 3)

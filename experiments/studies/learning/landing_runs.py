@@ -1,4 +1,4 @@
-"""One way of landing a unit of the study of landings: it is identified, a policy is trained for it and flown on it.
+"""One unit of the study of landings: it is identified, and landed by hand-made controllers or a policy trained for it.
 
     python -m experiments.studies.learning.landing_runs delays 0 result.json
 
@@ -44,7 +44,8 @@ GUIDED = (
     "guided_without",
     "guided_delays",
 )  # one that ends in the deck's attitude: it knows of no delay, or of those
-WAYS = (LEVEL, *GUIDED, *METHODS)
+KINDS = {"by_hand": (LEVEL, *GUIDED), **{method: (method,) for method in METHODS}}
+"""The ways of landing that one run tries."""
 FURTHER = 0.04  # delay of the commands beyond those of the thesis, of radio and motion capture [s]
 DECK_DELAYS = (0.08, 0.12)  # of the measured deck; each unit has one of these [s]
 HISTORY = 12  # past actions that are seen: 240 ms
@@ -183,8 +184,11 @@ def land(
             break
     rows = []
     for k, (i, v) in enumerate(cells):
-        row = {"incline": i, "speed": v, "success": bool(info["success"][k]), "time": float(time_of[k])}
-        rows.append({**row, "touched": bool(info["touched"][k]), **{n: float(info[n][k]) for n in TOLD}})
+        row = {"incline": round(i, 6), "speed": v, "success": bool(info["success"][k])}
+        told = {"time": time_of[k], **{n: info[n][k] for n in TOLD}}
+        rows.append(
+            {**row, "touched": bool(info["touched"][k]), **{n: round(float(x), 4) for n, x in told.items()}}
+        )
     return rows, steps
 
 
@@ -192,44 +196,36 @@ def _seen(info: Mapping[str, Any]) -> dict[str, np.ndarray]:
     return {name: info[name] for name in ("place", "deck", "normal", "axis", "touched")}
 
 
-def run(method: str, seed: int, episodes: int | None) -> dict[str, Any]:
+def run(kind: str, seed: int, episodes: int | None) -> dict[str, Any]:
     """Identify a unit, make what lands it, and land it on a grid of inclines and speeds.
 
     Args:
-        method: One of `WAYS`.
+        kind: One of `KINDS`.
         seed: Of the unit and the training.
         episodes: Of a training; None: as stored.
 
     Returns:
-        The unit, what was identified, cost, steps and processor seconds of a training, the landings, and the filmed
-        ones step by step.
+        The unit and what was identified; and by way cost, steps and processor seconds of a training, the landings, and
+        the filmed ones step by step.
     """
     begun = time.process_time()
     true, late = make_unit(seed, FURTHER), deck_delay(seed)
     values = identified(true, seed)
     fitted = time.process_time() - begun
-    begun, last = time.process_time(), {"cost": float("nan"), "steps": 0.0}
-    policy: PpoPolicy | None = None
-    if method in METHODS:
-        policy, last = train(method, seed, values, episodes)
-    training = {**last, "cpu_seconds": time.process_time() - begun}
     first = derive_seed(seed, Purpose.FINAL_EVALUATION) % 2**31
-    landings, _ = land(
-        policy or by_hand(method, values),
-        true,
-        late,
-        [(i, v) for i in INCLINES for v in SPEEDS for _ in range(FLIGHTS)],
-        first,
-    )
-    _, steps = land(policy or by_hand(method, values), true, late, FILMED, first)
-    return {
-        "true": {**true, "deck_delay": late},
-        "found": values,
-        "fit_cpu_seconds": fitted,
-        "training": training,
-        "landings": landings,
-        "film": {name: np.array([s[name] for s in steps]).round(4).tolist() for name in steps[0]},
-    }
+    cells = [(i, v) for i in INCLINES for v in SPEEDS for _ in range(FLIGHTS)]
+    ways = {}
+    for method in KINDS[kind]:
+        begun, last = time.process_time(), {"cost": float("nan"), "steps": 0.0}
+        policy: PpoPolicy | None = None
+        if method in METHODS:
+            policy, last = train(method, seed, values, episodes)
+        training = {**last, "cpu_seconds": time.process_time() - begun}
+        landings, _ = land(policy or by_hand(method, values), true, late, cells, first)
+        _, steps = land(policy or by_hand(method, values), true, late, FILMED, first)
+        film = {name: np.array([s[name] for s in steps]).round(4).tolist() for name in steps[0]}
+        ways[method] = {"training": training, "landings": landings, "film": film}
+    return {"true": {**true, "deck_delay": late}, "found": values, "fit_cpu_seconds": fitted, "ways": ways}
 
 
 def train(
@@ -253,7 +249,7 @@ def train(
 def main(arguments: Sequence[str] | None = None) -> int:
     """Identify, train, land, and write the result as JSON; returns the exit status."""
     parser = argparse.ArgumentParser(description="Train policies for a hidden quadrotor and land it.")
-    parser.add_argument("kind", choices=WAYS)
+    parser.add_argument("kind", choices=KINDS)
     parser.add_argument("seed", type=int)
     parser.add_argument("out", type=Path, help="new file")
     parser.add_argument("--training", type=int, default=None, help="episodes of the training")

@@ -1,7 +1,7 @@
 """Landings of a quadrotor on a moving, inclined deck, with and without delays in the training.
 
     python -m experiments.studies.learning.landing_study --out results/inclined_landing --seeds 0 1 2 3 4 \\
-        --methods level guided_without guided_delays
+        --kinds by_hand
 
 Each seed has a hidden unit of its own, which is identified first. One run after the other, each in a process of its own
 with one thread; a stopped study goes on where it was. Writes a row for each run, one for each landing, maps of the
@@ -29,7 +29,7 @@ from deepkoco.systems.landing.landing_picture import draw_landing
 from experiments.plumbing.own_process import run_once
 from experiments.plumbing.provenance import as_markdown
 from experiments.studies.diagnosis.hidden.measures import wilson
-from experiments.studies.learning.landing_runs import FILMED, LEVEL, METHODS
+from experiments.studies.learning.landing_runs import FILMED, KINDS, LEVEL, METHODS
 
 RUNS = "experiments.studies.learning.landing_runs"
 LABELS = {
@@ -52,14 +52,11 @@ def tables(folder: Path) -> tuple[pd.DataFrame, pd.DataFrame]:
     runs, landings = [], []
     for path in sorted(folder.glob("*.json")):
         run = json.loads(path.read_text())
-        landings += [{"method": run["method"], "seed": run["seed"], **row} for row in run["landings"]]
-        training = run["training"]
-        own = {
-            "cost": training["cost"],
-            "steps": training["steps"],
-            "training_cpu_seconds": training["cpu_seconds"],
-        }
-        runs.append({**run, **own})
+        for method, way in run["ways"].items():
+            landings += [{"method": method, "seed": run["seed"], **row} for row in way["landings"]]
+            training = way["training"]
+            own = {"cost": training["cost"], "steps": training["steps"]}
+            runs.append({**run, "method": method, **own, "training_cpu_seconds": training["cpu_seconds"]})
     columns = [
         "method",
         "seed",
@@ -130,8 +127,10 @@ def films_of(folder: Path, seed: int) -> dict[str, dict[str, np.ndarray]]:
         folder: Of the results.
         seed: Of the unit.
     """
-    paths = {name: folder / f"{name}_{seed}.json" for name in LABELS}
-    stored = {name: json.loads(path.read_text())["film"] for name, path in paths.items() if path.exists()}
+    stored: dict = {}
+    for path in sorted(folder.glob(f"*_{seed}.json")):
+        stored |= {name: way["film"] for name, way in json.loads(path.read_text())["ways"].items()}
+    stored = {name: stored[name] for name in LABELS if name in stored}
     return {name: {k: np.array(v, float) for k, v in own.items()} for name, own in stored.items()}
 
 
@@ -236,7 +235,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description="Landings of a quadrotor, trained with and without delays.")
     parser.add_argument("--out", type=Path, required=True, help="folder of the results")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
-    parser.add_argument("--methods", choices=LABELS, nargs="+", default=list(LABELS))
+    parser.add_argument("--kinds", choices=KINDS, nargs="+", default=list(KINDS))
     parser.add_argument(
         "--training", type=int, default=None, help="episodes of a training; default: as stored"
     )
@@ -247,9 +246,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with writing(folder):
             folder.mkdir(parents=True, exist_ok=True)
         for seed in args.seeds:
-            for method in args.methods:
-                run_once(RUNS, method, seed, folder, options)
-                print(f"{method}, seed {seed}", flush=True)
+            for kind in args.kinds:
+                run_once(RUNS, kind, seed, folder, options)
+                print(f"{kind}, seed {seed}", flush=True)
     except ExperimentError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
