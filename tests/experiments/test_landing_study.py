@@ -69,7 +69,7 @@ def test_a_unit_lands_as_the_simulator_does(monkeypatch):
 
 def test_only_one_of_the_trainings_knows_the_delays():
     values = {**NOMINAL, "roll_delay": 0.1}
-    ranges = {m: runs.make_simulation(m, values, 0.1)(1, 0)._randomization.ranges for m in runs.METHODS}
+    ranges = {m: runs.make_simulation(m, values)(1, 0)._randomization.ranges for m in runs.METHODS}
     assert ranges["without"]["world.roll_delay"] == (0.0, 0.0)
     assert ranges["delays"]["world.roll_delay"] == pytest.approx((0.094, 0.106))
     assert ranges["delays"]["deck_sensor->agent"] == pytest.approx((0.08, 0.12))
@@ -88,11 +88,28 @@ def test_a_level_controller_does_not_land_on_a_steep_deck():
     assert not any(row["success"] for row in rows)
 
 
-def stored_run(method: str, seed: int) -> dict:
+def test_a_guided_landing_reaches_the_attitude_of_a_steep_moving_deck():
+    cells = [(np.radians(25.0), 0.5)] * 10
+    controller = runs.by_hand("guided_delays", NOMINAL)
+    rows, _ = runs.land(controller, NOMINAL, 0.1, cells, 0)
+    assert np.mean([row["success"] for row in rows]) >= 0.6
+
+
+def test_a_guided_landing_that_knows_no_delay_follows_the_deck_from_behind():
+    """1 m/s and 0.1 s: it comes down 0.1 m behind the centre."""
+    cells = [(0.0, 1.0)] * 10
+    unaware, _ = runs.land(runs.by_hand("guided_without", NOMINAL), NOMINAL, 0.1, cells, 0)
+    aware, _ = runs.land(runs.by_hand("guided_delays", NOMINAL), NOMINAL, 0.1, cells, 0)
+    offsets = [np.median([row["offset"] for row in rows if row["touched"]]) for rows in (unaware, aware)]
+    assert offsets[0] == pytest.approx(0.1, abs=0.05)
+    assert offsets[1] < 0.5 * offsets[0]
+
+
+def stored_run(kind: str, seed: int) -> dict:
     cells = [(i, v) for i in (0.0, np.radians(25.0)) for v in (0.0, 1.0)]
     one = {"touched": True, "time": 1.0, "offset": 0.1, "sink": 0.3, "slip": 0.2, "tilt": 0.1}
     landings = [
-        {"incline": i, "speed": v, "success": method == "delays", **one} for i, v in cells for _ in range(2)
+        {"incline": i, "speed": v, "success": kind == "delays", **one} for i, v in cells for _ in range(2)
     ]
     steps, decks = 6, len(runs.FILMED)
     film = {
@@ -104,15 +121,15 @@ def stored_run(method: str, seed: int) -> dict:
     }
     training = {"cost": 8.0, "steps": 10, "cpu_seconds": 40.0 + seed}
     return {
-        "method": method, "seed": seed, "fit_cpu_seconds": 1.0, "cpu_seconds": 50.0, "commit": "abc",
-        "landings": landings, "training": training, "film": film,
+        "method": kind, "seed": seed, "fit_cpu_seconds": 1.0, "cpu_seconds": 50.0, "commit": "abc",
+        "ways": {method: {"landings": landings, "training": training, "film": film} for method in runs.KINDS[kind]},
     }  # fmt: skip
 
 
 def test_results_become_tables_maps_and_a_film(tmp_path):
-    for method in study.LABELS:
+    for kind in ("by_hand", "delays"):  # a study of some of the ways
         for seed in (0, 1):
-            (tmp_path / f"{method}_{seed}.json").write_text(json.dumps(stored_run(method, seed)))
+            (tmp_path / f"{kind}_{seed}.json").write_text(json.dumps(stored_run(kind, seed)))
     found, landings = study.tables(tmp_path)
     cells = study.success_map(landings)
     steep = cells[(cells["method"] == "delays") & (cells["incline_deg"] == 25.0) & (cells["speed"] == 1.0)]
@@ -121,7 +138,7 @@ def test_results_become_tables_maps_and_a_film(tmp_path):
     text = study.summary(found, landings)
     assert "| trained with delays | 1.00 [0.81, 1.00], seeds 1.00 to 1.00 |" in text
     assert "delays: 40 to 41 processor seconds a training" in text
-    assert len(study.draw_maps(cells).axes) == 4
+    assert len(study.draw_maps(cells).axes) == 5
     films = study.films_of(tmp_path, 0)
-    assert len(study.draw_strip(films, 2).axes) == 3 * study.SHOWN
-    assert study.frames(films)[0].shape == (3 * study.SIZE, 3 * study.SIZE, 3)
+    assert len(study.draw_strip(films, 2).axes) == 4 * study.SHOWN
+    assert study.frames(films)[0].shape == (4 * study.SIZE, 3 * study.SIZE, 3)

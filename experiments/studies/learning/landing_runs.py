@@ -1,4 +1,4 @@
-"""One way of landing a unit of the study of landings: it is identified, a policy is trained for it and flown on it.
+"""One unit of the study of landings: it is identified, and landed by hand-made controllers or a policy trained for it.
 
     python -m experiments.studies.learning.landing_runs delays 0 result.json
 
@@ -34,16 +34,22 @@ from deepkoco.systems.bodies.quadrotor import attitude_for
 from deepkoco.yaml_file import read_yaml
 from experiments.studies.diagnosis.identify_quadrotor import DELAYS
 from experiments.studies.learning.circle_runs import identified, make_unit
+from experiments.studies.learning.landing_guidance import GuidedLanding
 from experiments.studies.learning.landing_unit import FLIGHT_STEPS, LandingUnits
 
 TASK = "inclined_landing"
 METHODS = ("without", "delays")  # of the training: without any delay, and with those that are known
-LEVEL = "level"  # a controller tuned by hand that follows the deck and comes down level
+LEVEL = "level"  # a controller made by hand that follows the deck and comes down level
+GUIDED = (
+    "guided_without",
+    "guided_delays",
+)  # one that ends in the deck's attitude: it knows of no delay, or of those
+KINDS = {"by_hand": (LEVEL, *GUIDED), **{method: (method,) for method in METHODS}}
+"""The ways of landing that one run tries."""
 FURTHER = 0.04  # delay of the commands beyond those of the thesis, of radio and motion capture [s]
 DECK_DELAYS = (0.08, 0.12)  # of the measured deck; each unit has one of these [s]
 HISTORY = 12  # past actions that are seen: 240 ms
 SPREAD, DELAY_SPREAD = 0.05, 0.006  # parameters vary by this share about their estimates, delays by this [s]
-DECK_SPREAD = 0.02  # the delay of the deck is known to this [s]
 INCLINES = tuple(np.radians((0.0, 5.0, 10.0, 15.0, 20.0, 25.0)).tolist())  # [rad]
 SPEEDS = (0.0, 0.25, 0.5, 0.75, 1.0)  # [m/s]
 FLIGHTS = 20  # of each cell
@@ -86,18 +92,31 @@ class LevelLanding:
         return (np.array(command) - CENTRE) / SCALE
 
 
+def by_hand(method: str, values: Mapping[str, float]) -> Controller:
+    """A controller that is made by hand.
+
+    Args:
+        method: `LEVEL`, or one of `GUIDED`.
+        values: What was identified of the unit. The delay of its deck is known to lie in `DECK_DELAYS`.
+    """
+    if method == LEVEL:
+        return LevelLanding(values["mass"])
+    if method == GUIDED[0]:
+        return GuidedLanding({**values, **dict.fromkeys(DELAYS, 0.0)}, 0.0)
+    return GuidedLanding(values, float(np.mean(DECK_DELAYS)))
+
+
 def deck_delay(seed: int) -> float:
     """Delay of the measured deck of a unit [s]."""
     return float(np.random.default_rng([seed, 25]).uniform(*DECK_DELAYS))
 
 
-def make_simulation(method: str, values: Mapping[str, float], late: float) -> Callable[[int, int], VectorEnv]:
+def make_simulation(method: str, values: Mapping[str, float]) -> Callable[[int, int], VectorEnv]:
     """The factory of the environments of a training.
 
     Args:
         method: One of `METHODS`.
         values: Parameters and delays of the commands, about which episodes draw theirs.
-        late: Delay of the measured deck, likewise [s].
     """
     ranges = {f"world.{name}": _about(name, value, SPREAD * value) for name, value in values.items()}
     for name in DELAYS:
@@ -105,7 +124,7 @@ def make_simulation(method: str, values: Mapping[str, float], late: float) -> Ca
             (0.0, 0.0) if method == "without" else _about(name, values[name], DELAY_SPREAD)
         )
     if method != "without":
-        ranges["deck_sensor->agent"] = (late - DECK_SPREAD, late + DECK_SPREAD)
+        ranges["deck_sensor->agent"] = DECK_DELAYS
 
     def make(count: int, seed: int) -> VectorEnv:
         return LandingVectorEnv(
@@ -165,8 +184,11 @@ def land(
             break
     rows = []
     for k, (i, v) in enumerate(cells):
-        row = {"incline": i, "speed": v, "success": bool(info["success"][k]), "time": float(time_of[k])}
-        rows.append({**row, "touched": bool(info["touched"][k]), **{n: float(info[n][k]) for n in TOLD}})
+        row = {"incline": round(i, 6), "speed": v, "success": bool(info["success"][k])}
+        told = {"time": time_of[k], **{n: info[n][k] for n in TOLD}}
+        rows.append(
+            {**row, "touched": bool(info["touched"][k]), **{n: round(float(x), 4) for n, x in told.items()}}
+        )
     return rows, steps
 
 
@@ -174,45 +196,40 @@ def _seen(info: Mapping[str, Any]) -> dict[str, np.ndarray]:
     return {name: info[name] for name in ("place", "deck", "normal", "axis", "touched")}
 
 
-def run(method: str, seed: int, episodes: int | None) -> dict[str, Any]:
+def run(kind: str, seed: int, episodes: int | None) -> dict[str, Any]:
     """Identify a unit, make what lands it, and land it on a grid of inclines and speeds.
 
     Args:
-        method: One of `METHODS`, or `LEVEL`.
+        kind: One of `KINDS`.
         seed: Of the unit and the training.
         episodes: Of a training; None: as stored.
 
     Returns:
-        The unit, what was identified, cost, steps and processor seconds of a training, the landings, and the filmed
-        ones step by step.
+        The unit and what was identified; and by way cost, steps and processor seconds of a training, the landings, and
+        the filmed ones step by step.
     """
     begun = time.process_time()
     true, late = make_unit(seed, FURTHER), deck_delay(seed)
     values = identified(true, seed)
     fitted = time.process_time() - begun
-    begun, last = time.process_time(), {"cost": float("nan"), "steps": 0.0}
-    if method == LEVEL:
-        controller: Controller = LevelLanding(values["mass"])
-    else:
-        controller, last = train(method, seed, values, late, episodes)
-    training = {**last, "cpu_seconds": time.process_time() - begun}
     first = derive_seed(seed, Purpose.FINAL_EVALUATION) % 2**31
-    landings, _ = land(
-        controller, true, late, [(i, v) for i in INCLINES for v in SPEEDS for _ in range(FLIGHTS)], first
-    )
-    _, steps = land(controller, true, late, FILMED, first)
-    return {
-        "true": {**true, "deck_delay": late},
-        "found": values,
-        "fit_cpu_seconds": fitted,
-        "training": training,
-        "landings": landings,
-        "film": {name: np.array([s[name] for s in steps]).round(4).tolist() for name in steps[0]},
-    }
+    cells = [(i, v) for i in INCLINES for v in SPEEDS for _ in range(FLIGHTS)]
+    ways = {}
+    for method in KINDS[kind]:
+        begun, last = time.process_time(), {"cost": float("nan"), "steps": 0.0}
+        policy: PpoPolicy | None = None
+        if method in METHODS:
+            policy, last = train(method, seed, values, episodes)
+        training = {**last, "cpu_seconds": time.process_time() - begun}
+        landings, _ = land(policy or by_hand(method, values), true, late, cells, first)
+        _, steps = land(policy or by_hand(method, values), true, late, FILMED, first)
+        film = {name: np.array([s[name] for s in steps]).round(4).tolist() for name in steps[0]}
+        ways[method] = {"training": training, "landings": landings, "film": film}
+    return {"true": {**true, "deck_delay": late}, "found": values, "fit_cpu_seconds": fitted, "ways": ways}
 
 
 def train(
-    method: str, seed: int, values: Mapping[str, float], late: float, episodes: int | None
+    method: str, seed: int, values: Mapping[str, float], episodes: int | None
 ) -> tuple[PpoPolicy, dict[str, float]]:
     """A policy for a unit, and cost in the simulation and steps of its training.
 
@@ -220,12 +237,11 @@ def train(
         method: One of `METHODS`.
         seed: Of the training.
         values: What is known of the unit.
-        late: What is known of the delay of its measured deck [s].
         episodes: Of the training; None: as stored.
     """
     config = make_config(**({} if episodes is None else {"total_episodes": episodes}))
     with tempfile.TemporaryDirectory() as folder:
-        trainer = PpoTrainer(make_simulation(method, values, late), config, seed, Path(folder))
+        trainer = PpoTrainer(make_simulation(method, values), config, seed, Path(folder))
         last = trainer.run()
         return trainer.policy, {"cost": last["evaluation/cost"], "steps": last["steps"]}
 
@@ -233,7 +249,7 @@ def train(
 def main(arguments: Sequence[str] | None = None) -> int:
     """Identify, train, land, and write the result as JSON; returns the exit status."""
     parser = argparse.ArgumentParser(description="Train policies for a hidden quadrotor and land it.")
-    parser.add_argument("kind", choices=[LEVEL, *METHODS])
+    parser.add_argument("kind", choices=KINDS)
     parser.add_argument("seed", type=int)
     parser.add_argument("out", type=Path, help="new file")
     parser.add_argument("--training", type=int, default=None, help="episodes of the training")

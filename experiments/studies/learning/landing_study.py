@@ -1,6 +1,7 @@
 """Landings of a quadrotor on a moving, inclined deck, with and without delays in the training.
 
-    python -m experiments.studies.learning.landing_study --out results/inclined_landing --seeds 0 1 2 3 4
+    python -m experiments.studies.learning.landing_study --out results/inclined_landing --seeds 0 1 2 3 4 \\
+        --kinds by_hand
 
 Each seed has a hidden unit of its own, which is identified first. One run after the other, each in a process of its own
 with one thread; a stopped study goes on where it was. Writes a row for each run, one for each landing, maps of the
@@ -28,11 +29,13 @@ from deepkoco.systems.landing.landing_picture import draw_landing
 from experiments.plumbing.own_process import run_once
 from experiments.plumbing.provenance import as_markdown
 from experiments.studies.diagnosis.hidden.measures import wilson
-from experiments.studies.learning.landing_runs import FILMED, LEVEL
+from experiments.studies.learning.landing_runs import FILMED, KINDS, LEVEL, METHODS
 
 RUNS = "experiments.studies.learning.landing_runs"
 LABELS = {
-    LEVEL: "tuned by hand, level",
+    LEVEL: "level",
+    "guided_without": "guided, knows no delay",
+    "guided_delays": "guided, knows the delays",
     "without": "trained without delays",
     "delays": "trained with delays",
 }
@@ -49,14 +52,11 @@ def tables(folder: Path) -> tuple[pd.DataFrame, pd.DataFrame]:
     runs, landings = [], []
     for path in sorted(folder.glob("*.json")):
         run = json.loads(path.read_text())
-        landings += [{"method": run["method"], "seed": run["seed"], **row} for row in run["landings"]]
-        training = run["training"]
-        own = {
-            "cost": training["cost"],
-            "steps": training["steps"],
-            "training_cpu_seconds": training["cpu_seconds"],
-        }
-        runs.append({**run, **own})
+        for method, way in run["ways"].items():
+            landings += [{"method": method, "seed": run["seed"], **row} for row in way["landings"]]
+            training = way["training"]
+            own = {"cost": training["cost"], "steps": training["steps"]}
+            runs.append({**run, "method": method, **own, "training_cpu_seconds": training["cpu_seconds"]})
     columns = [
         "method",
         "seed",
@@ -94,9 +94,13 @@ def draw_maps(cells: pd.DataFrame) -> Figure:
         cells: As from `success_map`.
     """
     with house_style():
-        figure, panels = plt.subplots(1, len(LABELS), figsize=(11.0, 3.6), sharey=True, layout="constrained")
-        image = None
-        for panel, (method, text) in zip(panels, LABELS.items(), strict=True):
+        ways = [method for method in LABELS if method in set(cells["method"])]
+        size = (1.0 + 3.4 * len(ways), 3.6)
+        figure, grid = plt.subplots(
+            1, len(ways), figsize=size, sharey=True, layout="constrained", squeeze=False
+        )
+        panels, image = grid[0], None
+        for panel, method in zip(panels, ways, strict=True):
             own = cells[cells["method"] == method]
             table = own.pivot_table(index="incline_deg", columns="speed", values="share")
             image = panel.imshow(
@@ -109,7 +113,7 @@ def draw_maps(cells: pd.DataFrame) -> Figure:
             panel.set_xticks(range(len(table.columns)), [f"{v:g}" for v in table.columns])
             panel.set_yticks(range(len(table.index)), [f"{v:g}" for v in table.index])
             panel.set_xlabel("speed of the deck [m/s]")
-            panel.set_title(text, fontsize=9)
+            panel.set_title(LABELS[method], fontsize=9)
         panels[0].set_ylabel("incline [degrees]")
         if image is not None:
             figure.colorbar(image, ax=panels, label="share of landings")
@@ -123,7 +127,10 @@ def films_of(folder: Path, seed: int) -> dict[str, dict[str, np.ndarray]]:
         folder: Of the results.
         seed: Of the unit.
     """
-    stored = {name: json.loads((folder / f"{name}_{seed}.json").read_text())["film"] for name in LABELS}
+    stored: dict = {}
+    for path in sorted(folder.glob(f"*_{seed}.json")):
+        stored |= {name: way["film"] for name, way in json.loads(path.read_text())["ways"].items()}
+    stored = {name: stored[name] for name in LABELS if name in stored}
     return {name: {k: np.array(v, float) for k, v in own.items()} for name, own in stored.items()}
 
 
@@ -189,7 +196,8 @@ def summary(runs: pd.DataFrame, landings: pd.DataFrame) -> str:
     ranges["25 degrees"] = landings["incline_deg"] == 25.0
     ranges["25 degrees, 1 m/s"] = ranges["25 degrees"] & (landings["speed"] == 1.0)
     lines = ["| | " + " | ".join(ranges) + " |", "|---|" + "---|" * len(ranges)]
-    for method, text in LABELS.items():
+    ways = {method: text for method, text in LABELS.items() if method in set(landings["method"])}
+    for method, text in ways.items():
         cells = []
         for where in ranges.values():
             own = landings[where & (landings["method"] == method)]
@@ -206,7 +214,7 @@ def summary(runs: pd.DataFrame, landings: pd.DataFrame) -> str:
         "| | touched | offset [m] | sink [m/s] | slip [m/s] | tilt [deg] | time [s] |",
         "|---|---|---|---|---|---|---|",
     ]
-    for method, text in LABELS.items():
+    for method, text in ways.items():
         own = landings[landings["method"] == method]
         touched = own[own["touched"]]
         medians = [
@@ -216,7 +224,7 @@ def summary(runs: pd.DataFrame, landings: pd.DataFrame) -> str:
         share = np.mean(np.asarray(own["touched"], float))
         lines.append(f"| {text}: median (nine of ten below) | {share:.2f} | {' | '.join(medians)} |")
     lines.append("")
-    for method, rows in runs[runs["method"] != LEVEL].groupby("method"):
+    for method, rows in runs[runs["method"].isin(METHODS)].groupby("method"):
         seconds = rows["training_cpu_seconds"]
         lines.append(f"{method}: {seconds.min():.0f} to {seconds.max():.0f} processor seconds a training")
     return "\n".join(lines)
@@ -227,6 +235,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description="Landings of a quadrotor, trained with and without delays.")
     parser.add_argument("--out", type=Path, required=True, help="folder of the results")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
+    parser.add_argument("--kinds", choices=KINDS, nargs="+", default=list(KINDS))
     parser.add_argument(
         "--training", type=int, default=None, help="episodes of a training; default: as stored"
     )
@@ -237,9 +246,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with writing(folder):
             folder.mkdir(parents=True, exist_ok=True)
         for seed in args.seeds:
-            for method in LABELS:
-                run_once(RUNS, method, seed, folder, options)
-                print(f"{method}, seed {seed}", flush=True)
+            for kind in args.kinds:
+                run_once(RUNS, kind, seed, folder, options)
+                print(f"{kind}, seed {seed}", flush=True)
     except ExperimentError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
