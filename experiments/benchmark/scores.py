@@ -98,8 +98,8 @@ def method_scores(seeds: pd.DataFrame) -> pd.DataFrame:
 
     Returns:
         One row per task, distractors and agent: n, unfinished, score with low and high, whether these are a 95 %
-        bootstrap interval or the range of fewer than five seeds, loss against the task alone [%], cost, and the least
-        steps and updates and the mean processor seconds of a seed.
+        bootstrap interval or the range of fewer than five seeds, loss against the task alone [%] where all runs of both
+        are finished, cost, and the least steps and updates and the mean processor seconds of a seed.
     """
     rows = []
     for names, own in groups(seeds, METHOD):
@@ -121,8 +121,9 @@ def method_scores(seeds: pd.DataFrame) -> pd.DataFrame:
                 "processor_seconds": float(own["processor_seconds"].to_numpy(float).mean()),
             }
         )
-    alone = {(row["task"], row["agent"]): row["score"] for row in rows if row["among"] == ALONE}
-    for row in rows:
+    done = [row for row in rows if not row["unfinished"]]  # others have had less training
+    alone = {(row["task"], row["agent"]): row["score"] for row in done if row["among"] == ALONE}
+    for row in done:
         own = alone.get((row["task"], row["agent"]), float("nan"))
         # Where nothing is learned alone, there is nothing to lose.
         row["loss"] = (

@@ -152,6 +152,14 @@ def test_means_and_losses_by_hand():
     assert np.isnan(table.loc[("b", "copies_5"), "loss"])  # nothing is learned alone
 
 
+def test_a_run_with_less_training_has_no_loss():
+    table = rows({("t", "none", "a"): [6.0], ("t", "copies_5", "a"): [3.0]})
+    cut = table.assign(finished=table["among"] == "none")
+    losses = [method_scores(t).set_index("among")["loss"]["copies_5"] for t in (table, cut)]
+    assert losses[0] == pytest.approx(50.0)
+    assert np.isnan(losses[1])
+
+
 def test_the_mean_over_tasks_is_of_agents_that_have_them_all():
     """Scores 1 2 3 4 of two tasks: without the lowest and the highest (2 + 3) / 2; no seed moves to another task."""
     table = overall_scores(
