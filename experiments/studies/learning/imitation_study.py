@@ -25,6 +25,7 @@ import numpy as np
 import pandas as pd
 import torch
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
 
 from baselines.imitation.teachers import Teacher, TeacherError, make_teacher
 from deepkoco.agent.mean_interval import mean_with_band
@@ -120,6 +121,7 @@ def draw(curves: pd.DataFrame) -> Figure:
                 panel.axhline(goal, color="#555555", linestyle="--", linewidth=1)
             panel.set_xscale("log")
             panel.set_yscale("log")
+            panel.xaxis.set_minor_formatter(NullFormatter())
             panel.set_xlabel("questions")
             panel.set_title(task)
         panels[0, 0].set_ylabel("cost, as a multiple of the teacher's")
