@@ -41,8 +41,9 @@ def test_costs_are_compared_with_the_teacher_from_the_same_start_states(folder):
     runs, curves = imitation_study.tables(folder)
     random = runs[runs["method"] == "random"].set_index("seed")
     assert random["ratio"].tolist() == [1.2, 1.08]
-    assert random["questions_to_reach"].tolist() == [400, 600]
-    assert np.isinf(runs[(runs["method"] == "doubt") & (runs["seed"] == 0)]["questions_to_reach"]).all()
+    assert random["questions_to_1.1"].tolist() == [400, 600]
+    assert random["questions_to_1.5"].tolist() == [400, 400]
+    assert np.isinf(runs[(runs["method"] == "doubt") & (runs["seed"] == 0)]["questions_to_1.1"]).all()
     own = curves[(curves["method"] == "doubt") & (curves["seed"] == 0)]
     assert imitation_study.ratio_at(own, 300) == pytest.approx(3.0)
     assert np.isnan(imitation_study.ratio_at(own, 700))
@@ -50,8 +51,8 @@ def test_costs_are_compared_with_the_teacher_from_the_same_start_states(folder):
 
 def test_a_table_says_how_many_runs_reach_the_goal(folder):
     text = imitation_study.summary(*imitation_study.tables(folder))
-    assert "| random questions | 500 (400 to 600), 2 of 2 | 2.56 [" in text
-    assert "| most doubt | - (600 to -), 1 of 2 |" in text
+    assert "| random questions | 400 (400 to 400), 2 of 2 | 500 (400 to 600), 2 of 2 | 3.71 [" in text
+    assert "| most doubt | - (600 to -), 1 of 2 | - (600 to -), 1 of 2 |" in text
     assert len(imitation_study.draw(imitation_study.tables(folder)[1]).axes) == 1
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -23,9 +23,9 @@ from baselines.imitation.asking import Always, make_rule
 from baselines.imitation.config import ImitationConfig
 from baselines.imitation.graph import AskingStudent, imitation_graph
 from baselines.imitation.learner import Learner
-from baselines.imitation.nodes import Script
+from baselines.imitation.nodes import NOT_ASKED, Script
 from baselines.imitation.policy import make_ensemble
-from deepkoco.graph import Episode, Graph, Uniform, draw_timing
+from deepkoco.graph import Episode, Graph, Input, Uniform, draw_timing
 from deepkoco.graph.live import SimulatedRuntime, WallClockRuntime, node_times
 from deepkoco.systems import make_system
 
@@ -68,6 +68,42 @@ def cost_of(episode: Episode) -> float:
     return float((angle.square() + 0.1 * chosen[:, 1].square()).sum())
 
 
+class ActingScript:
+    """The teacher in the place of the student: acts at once and asks nobody."""
+
+    def __call__(self, inputs: Mapping[str, Input]) -> Tensor:
+        seen = observe(inputs["sensor"].data[:, -1]).double()
+        return torch.cat([swing_up(seen), torch.full_like(seen[:, :1], NOT_ASKED), seen], -1)
+
+
+def start_of(generator: torch.Generator) -> Tensor:
+    """A pendulum that hangs, nearly (1, 2)."""
+    return (torch.tensor([[3.0, 0.0]]) + 0.2 * torch.randn(1, 2, generator=generator)).double()
+
+
+def script_costs(seed: int, episodes: int = ROUNDS) -> list[dict[str, float]]:
+    """What the teacher itself pays in simulated time.
+
+    Args:
+        seed: Of start states.
+        episodes: How many.
+
+    Returns:
+        A row for each episode.
+    """
+    own, generator, rows = graph(), torch.Generator().manual_seed(seed), []
+    values = make_system("rod_pendulum").default_parameters()
+    for number in range(episodes):
+        start = start_of(generator)
+        parameters = {name: values | {"start": start} for name in ("world", "sensor")}
+        timing = draw_timing(own, np.random.default_rng([seed, number]), steps=STEPS, batch=1)
+        with SimulatedRuntime(own, timing) as runtime:
+            runtime.reset(parameters, generator)
+            runtime.run(ActingScript(), STEPS)
+            rows.append({"episode": number, "cost": cost_of(runtime.finish())})
+    return rows
+
+
 def learn(clock: bool, seed: int, rounds: int = ROUNDS) -> list[dict[str, float]]:
     """Learn in one kind of time.
 
@@ -88,8 +124,8 @@ def learn(clock: bool, seed: int, rounds: int = ROUNDS) -> list[dict[str, float]
     student = AskingStudent(learner, Always(), observe, acts=True)
     values, rows = make_system("rod_pendulum").default_parameters(), []
     for number in range(rounds):
-        start = torch.tensor([[3.0, 0.0]]) + 0.2 * torch.randn(1, 2, generator=generator)
-        parameters = {name: values | {"start": start.double()} for name in ("world", "sensor")}
+        start = start_of(generator)
+        parameters = {name: values | {"start": start} for name in ("world", "sensor")}
         timing = draw_timing(own, np.random.default_rng([seed, number]), steps=STEPS, batch=1)
         student.start()
         with WallClockRuntime(own) if clock else SimulatedRuntime(own, timing) as runtime:
@@ -118,6 +154,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     args.out.mkdir(parents=True, exist_ok=True)
     rows = []
     for seed in args.seeds:
+        rows += [{"time": "teacher", "seed": seed, **row} for row in script_costs(seed)]
         for time, clock in (("simulated", False), ("wall-clock", True)):
             found = learn(clock, seed)
             rows += [{"time": time, "seed": seed, **row} for row in found]
