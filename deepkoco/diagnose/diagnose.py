@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 
-from deepkoco.diagnose.as_engine import as_engine_if_shown, the_other_way
+from deepkoco.diagnose.as_engine import as_engine_if_shown
 from deepkoco.diagnose.baseline import (
     Baseline,
     BaselineError,
@@ -22,6 +22,7 @@ from deepkoco.diagnose.longer_windows import on_longer_windows
 from deepkoco.diagnose.probability.shadow import with_evidence
 from deepkoco.diagnose.progress import Progress, silent
 from deepkoco.diagnose.request import DiagnosisRequest
+from deepkoco.diagnose.the_other_way import the_other_way
 from deepkoco.diagnose.time_limit import TimeLimit
 from deepkoco.diagnose.verdict.elastic_drives import with_elastic_drives
 from deepkoco.diagnose.verdict.judgement import judge

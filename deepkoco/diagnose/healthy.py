@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from deepkoco.diagnose.as_engine import as_engine_if_shown
 from deepkoco.diagnose.baseline import (
     Baseline,
     BaselineError,
@@ -70,6 +71,7 @@ def learn_baseline(
         limit: Asked before each of them; it remembers what it refused. None allows all.
     """
     limit = TimeLimit() if limit is None else limit
+    system = as_engine_if_shown(recordings, system, length)
     try:
         # Every effect changes the floor, and only the last one counts.
         return _learn(recordings, system, length, progress, extension, limit, False)

@@ -16,6 +16,7 @@ from deepkoco.logs.runs import MARK, RestartError
 from deepkoco.logs.sidecar import NoSidecarError, find_sidecar
 
 if TYPE_CHECKING:
+    from deepkoco.logs.inspect.sure_mapping import SureMappings
     from deepkoco.systems import System
 
 Logs = Recording | str | Path | Sequence[Recording | str | Path]
@@ -68,6 +69,7 @@ def read_logs(
 
     paths = [log if isinstance(log, Recording) else recordings([log], episodes) for log in given]
     listed = [path for log in paths if not isinstance(log, Recording) for path in log]
+    sure: list[SureMappings] = []
 
     def read(path: Path) -> Recording:
         try:
@@ -75,9 +77,9 @@ def read_logs(
         except NoSidecarError as error:
             if mapping is not None:
                 raise
-            proposed, said = _proposed(path, listed, found, error)
-            read = read_with(path, proposed)
-            return replace(read, warnings=(said, *read.warnings))
+            proposed, said = _proposed(path, listed, found, error, sure)
+            recording = read_with(path, proposed)
+            return replace(recording, warnings=(said, *recording.warnings))
 
     result: list[Recording] = []
     for log in paths:
@@ -90,17 +92,30 @@ def read_logs(
 
 
 def _proposed(
-    path: Path, listed: Sequence[Path], system: System, error: NoSidecarError
+    path: Path, listed: Sequence[Path], system: System, error: NoSidecarError, sure: list[SureMappings]
 ) -> tuple[dict[str, Any], str]:
     """Mapping of a log without a sidecar, and the sentence about it.
+
+    Args:
+        path: The log.
+        listed: All logs.
+        system: The system.
+        error: What its reading ended with.
+        sure: The mappings of this call; they are made with the first log that needs one.
 
     Raises:
         NoSidecarError: It is not sure.
     """
-    from deepkoco.logs.inspect.sure_mapping import sure_mapping
+    from deepkoco.logs.inspect.sure_mapping import SureMappings
 
+    beside = [other for other in listed if find_sidecar(other) is not None]
+    if beside:
+        # Two logs of one robot must not be read in two ways.
+        raise NoSidecarError(error.log, error.file, f"{beside[0].name} has one, which may be right here, too")
+    if not sure:
+        sure.append(SureMappings(listed, system))
     try:
-        return sure_mapping(path, [other for other in listed if find_sidecar(other) is None], system)
+        return sure[0].of(path)
     except LogError as doubt:
         why = str(doubt).removeprefix(f"{error.log}: ")
         raise NoSidecarError(error.log, error.file, why) from doubt

@@ -75,7 +75,9 @@ def slide_and_creep(
     low = (side * edge - free) / b
     comes = outside & (side * slowing < 0.0)
     until = torch.where(
-        comes, (low - speed) / torch.where(comes, slowing, -1.0), torch.where(outside, h, 0.0)
+        comes,
+        (low - speed) / torch.where(comes, slowing, -1.0),
+        torch.where(outside, torch.full_like(speed, h), 0.0),
     )
     until = until.clamp(0.0, h)
     first = speed + slowing * until

@@ -76,7 +76,8 @@ def test_a_wrong_space_is_named_with_its_file(tmp_path, text, problem):
 
 
 def test_every_agent_has_a_space():
-    assert set(AGENTS) <= set(SPACES)
+    # Imitation is as good as its teacher and its questions; there is no cost of its own to tune.
+    assert set(AGENTS) - {"imitation"} <= set(SPACES)
 
 
 @pytest.mark.study

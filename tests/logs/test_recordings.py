@@ -249,7 +249,7 @@ def test_episodes_that_are_no_list_are_refused(folder, text, capsys):
 PENDULUM = """
 <mujoco model="swing"><worldbody><body><joint name="pivot" axis="0 1 0"/>
   <geom type="capsule" size=".02" fromto="0 0 0 0 0 -.5" mass="1"/></body></worldbody>
-<actuator><motor name="drive" joint="pivot"/></actuator></mujoco>
+<actuator><motor name="drive" joint="pivot" gear="2"/></actuator></mujoco>
 """
 
 
@@ -268,7 +268,7 @@ def test_a_log_without_a_sidecar_is_read_where_its_names_leave_no_doubt(tmp_path
     np.testing.assert_allclose(recording.channels["q_pivot"].value.max(), np.deg2rad(40.0), rtol=1e-3)
     assert set(recording.channels) == {"q_pivot", "drive"}
     assert recording.warnings[0].startswith(
-        "no sidecar: q_pivot = pivot_angle_deg [deg], drive = drive_cmd [N m]"
+        "no sidecar: q_pivot = pivot_angle_deg [deg], drive = drive_cmd [1]"
     )
     assert "deepkoco inspect" in recording.warnings[0]
 
@@ -289,3 +289,37 @@ def test_a_unit_that_only_the_values_tell_needs_a_sidecar(tmp_path):
     pd.read_csv(log).rename(columns={"pivot_angle_deg": "pivot_angle"}).to_csv(log, index=False)
     with pytest.raises(LogError, match=r"no name says that pivot_angle is in deg"):
         read_logs([log], system)
+
+
+@pytest.mark.parametrize(
+    "name", ["drive_vel_cmd", "drive_target", "drive_current", "drive_torque_nm", "drive_position_cmd"]
+)
+def test_what_may_be_another_quantity_is_no_command_for_sure(tmp_path, name):
+    log, system = swinging(tmp_path)
+    pd.read_csv(log).rename(columns={"drive_cmd": name}).to_csv(log, index=False)
+    with pytest.raises(LogError, match="no sidecar"):
+        read_logs([log], system)
+
+
+def test_percent_of_an_actuator_is_not_its_command_for_sure(tmp_path):
+    log, system = swinging(tmp_path)
+    frame = pd.read_csv(log)
+    frame["drive_cmd"] *= 100.0 * system.commands[0].high
+    frame.to_csv(log, index=False)
+    with pytest.raises(LogError, match="no name says that drive_cmd is in 1"):
+        read_logs([log], system)
+
+
+def test_logs_beside_one_with_a_sidecar_need_one_too(tmp_path):
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    log, system = swinging(tmp_path)
+    for name in ("a", "b"):
+        (folder / f"{name}.csv").write_bytes(log.read_bytes())
+    assert len(read_logs([folder], system)) == 2
+    column = {"column": "pivot_angle_deg", "unit": "deg", "kind": "measurement", "scale": -1}
+    command = {"column": "drive_cmd", "unit": "1", "kind": "command"}
+    content = {"time": {"column": "time_s", "unit": "s"}, "channels": {"q_pivot": column, "drive": command}}
+    (folder / "b.yaml").write_text(yaml.safe_dump(content))
+    with pytest.raises(LogError, match=r"b\.csv has one"):
+        read_logs([folder], system)

@@ -1,4 +1,9 @@
-"""The mapping of a log without a sidecar, where its names and values leave no doubt."""
+"""The mapping of logs without a sidecar, where their names leave no doubt.
+
+It is stricter than a proposal, which a user reads before he uses it. Columns are called as joints and actuators are,
+and no column is taken by its place. Units are in the names of the columns, or the values say them: a goal that its
+position follows is in the unit of that position, and a number for an actuator without a unit stays within its limits.
+"""
 
 from __future__ import annotations
 
@@ -10,62 +15,130 @@ import yaml
 
 from deepkoco.logs.formats.log_file import LogError
 from deepkoco.logs.formats.open_log import open_log
-from deepkoco.logs.inspect.choice import Proposal, mapping_of
+from deepkoco.logs.inspect.choice import Choice, Proposal, mapping_of
 from deepkoco.logs.inspect.fitting import Fitting, NoProposalError, propose
+from deepkoco.logs.inspect.joints.finding import JointFinding
+from deepkoco.logs.inspect.joints.log_joints import EFFORT, POSITION, SPEED, words_of
+from deepkoco.logs.inspect.names import WANTED
 from deepkoco.logs.inspect.survey import Survey, survey_log
 from deepkoco.logs.part import split_part
 from deepkoco.logs.runs import split_run
 from deepkoco.logs.sidecar import dump_sidecar
 from deepkoco.systems import System
 
-MOST_LOGS = 40  # further logs with the same columns that are compared
+MOST_LOGS = 40  # of those with the same columns that are compared
+SAME_NAME = "the same name"
+ONE_UNIT = (0.7, 1.4)  # slope of a position against its goal, from which both are in one unit
+WITHIN = 1.2  # times the limits of an actuator, within which its commands are in its unit
 
 
-def sure_mapping(log: Path, others: Sequence[Path], system: System) -> tuple[dict[str, Any], str]:
-    """Content of a sidecar, and a sentence that says what was taken and assumed.
+class SureMappings:
+    """Mappings of the logs of one call, one for each set of columns.
 
     Args:
-        log: The log; a part or a run of it counts as the whole.
-        others: Further logs without a sidecar; those with the same columns serve as evidence.
+        logs: All logs without a sidecar.
         system: The system.
-
-    Raises:
-        LogError: The mapping is not sure; the message says why.
     """
-    survey, further = _survey(log), []
-    for path in others[:MOST_LOGS]:
-        if split_run(split_part(path)[0])[0] != split_run(split_part(log)[0])[0]:
-            other = _survey(path)
-            if [c.label for c in other.columns] == [c.label for c in survey.columns]:
-                further.append(other)
-    try:
-        fitting = propose(survey, system, further)
-    except NoProposalError as error:
-        raise LogError(str(error)) from error
-    doubt = _doubt(fitting)
-    if doubt is not None:
-        raise LogError(doubt)
-    text = dump_sidecar(None, mapping_of(survey, fitting.proposal), {"proposed by": "deepkoco inspect"})
-    return yaml.safe_load(text), _said(fitting.proposal)
+
+    def __init__(self, logs: Sequence[Path], system: System) -> None:
+        self._logs, self._system = [_whole(log) for log in logs], system
+        self._surveys: dict[tuple[Path, int], Survey] = {}
+        self._found: dict[tuple[str, ...], tuple[dict[str, Any], str] | LogError] = {}
+
+    def of(self, log: Path) -> tuple[dict[str, Any], str]:
+        """Content of a sidecar, and a sentence that says what was taken and assumed.
+
+        Args:
+            log: The log; a part of it counts as the whole.
+
+        Raises:
+            LogError: The mapping is not sure; the message says why.
+        """
+        own = self._survey(*_whole(log))
+        columns = tuple(c.label for c in own.columns)
+        if columns not in self._found:
+            try:
+                self._found[columns] = self._mapping(own, columns)
+            except LogError as error:
+                self._found[columns] = error
+        found = self._found[columns]
+        if isinstance(found, LogError):
+            raise found
+        return found
+
+    def _survey(self, path: Path, run: int) -> Survey:
+        if (path, run) not in self._surveys:
+            self._surveys[path, run] = survey_log(open_log(path), run)
+        return self._surveys[path, run]
+
+    def _mapping(self, own: Survey, columns: tuple[str, ...]) -> tuple[dict[str, Any], str]:
+        others = []
+        for path, run in dict.fromkeys(self._logs[:MOST_LOGS]):
+            try:
+                other = self._survey(path, run)
+            except (LogError, ValueError):
+                continue  # its own reading says what is wrong with it
+            if other is not own and tuple(c.label for c in other.columns) == columns:
+                others.append(other)
+        try:
+            fitting = propose(own, self._system, others)
+        except NoProposalError as error:
+            raise LogError(str(error)) from error
+        doubt = _doubt(fitting, self._system)
+        if doubt is not None:
+            raise LogError(doubt)
+        text = dump_sidecar(None, mapping_of(own, fitting.proposal), {"proposed by": "deepkoco inspect"})
+        return yaml.safe_load(text), _said(fitting.proposal)
 
 
-def _survey(log: Path) -> Survey:
+def _whole(log: Path) -> tuple[Path, int]:
     whole, run = split_run(split_part(log)[0])
-    return survey_log(open_log(whole), run or 0)
+    return whole, run or 0
 
 
-def _doubt(fitting: Fitting) -> str | None:
+def _doubt(fitting: Fitting, system: System) -> str | None:
     """Why a proposal is not sure; None where it is."""
+    joints = {finding.model: finding for finding in fitting.proposal.joints}
+    if not joints:
+        return "only joints and actuators with names tell which column is which"
     for choice in fitting.proposal.choices:
         name, column = choice.channel.name, choice.column
-        if column is None and choice.channel.kind == "command" and choice.channel.default is None:
-            return f"no column is the command {name} for sure"
-        if column is not None and choice.sureness != "sure":
-            rival = "" if choice.rival is None else f", or {choice.rival}"
-            return f"{name} is {choice.sureness}: {column.label}{rival}"
-        if column is not None and not choice.stated and choice.unit != choice.channel.unit:
+        if column is None:
+            if choice.channel.kind == "command" and choice.channel.default is None:
+                return f"no column is the command {name} for sure"
+            continue
+        if choice.sureness != "sure" or SAME_NAME not in choice.reasons:
+            return f"{name} is {choice.sureness}, but not by its name: {column.label}"
+        if choice.channel.kind == "measurement" and not choice.stated:
             return f"no name says that {column.label} is in {choice.unit}"
+        if choice.channel.kind == "command" and (doubt := _doubt_of_command(choice, joints, system)):
+            return doubt
     return fitting.doubt
+
+
+def _doubt_of_command(choice: Choice, joints: dict[str, JointFinding], system: System) -> str | None:
+    """Why a column is not a command for sure; None where it is."""
+    column, channel = choice.column, choice.channel
+    assert column is not None
+    number = [c.name for c in system.commands].index(channel.name)
+    driven = system.command_joints[number] if number < len(system.command_joints) else None
+    said = set(words_of(column.name))
+    if len(choice.reasons) > 1 and any("in the place of" in reason for reason in choice.reasons):
+        return f"{column.label} is measured, and may not be the command {channel.name}"
+    if driven is not None and channel.unit == system.state_units[driven]:
+        finding = joints.get(system.joint_names[driven])
+        tracking = None if finding is None else finding.tracking
+        follows = tracking is not None and tracking.follows and ONE_UNIT[0] < tracking.slope < ONE_UNIT[1]
+        return None if follows else f"{column.label} is no goal that its position follows in one unit"
+    if said & (POSITION | SPEED) or (said & set(WANTED) and not said & EFFORT):
+        return f"{column.label} may be a goal of a position or a speed, and {channel.name} is none"
+    if choice.stated:
+        return None
+    most = max(abs(channel.low), abs(channel.high))
+    largest = max(abs(column.low or 0.0), abs(column.high or 0.0))
+    if channel.unit != "1" or said & EFFORT or largest > WITHIN * most:
+        return f"no name says that {column.label} is in {choice.unit}"
+    return None
 
 
 def _said(proposal: Proposal) -> str:
@@ -77,10 +150,12 @@ def _said(proposal: Proposal) -> str:
         for what in ("sign", "zero")
     }
     words = {"sign": "direction", "zero": "zero"}
-    assumed = "; ".join(f"the {words[k]} of {', '.join(v)} is the model's" for k, v in unknown.items() if v)
+    assumed = [f"the {words[k]} of {', '.join(v)} is the model's" for k, v in unknown.items() if v]
+    assumed += [
+        f"{c.column.label} is in {c.unit}" for c in proposal.choices if c.column is not None and not c.stated
+    ]
     return (
         f"no sidecar: {taken}"
-        + (f"; assumed: {assumed}" if assumed else "")
-        + "; to correct it, write it with "
-        "deepkoco inspect --out"
+        + (f"; assumed: {'; '.join(assumed)}" if assumed else "")
+        + "; to correct it, write it with deepkoco inspect --out"
     )

@@ -36,19 +36,23 @@ def engine_of(model: Model) -> Engine | None:
     step = float(model.opt.timestep)
     if not step > 0.0 or any(own is None for own in soft):
         return None
-    library, own = mujoco_library(), tuple(each for each in soft if each is not None)
+    library = mujoco_library()
+    # Steps that prevent slip make friction hold.
+    own = None if model.opt.noslip_iterations > 0 else tuple(each for each in soft if each is not None)
     if model.opt.integrator == library.mjtIntegrator.mjINT_RK4:
         return Engine(own)
     euler = model.opt.integrator == library.mjtIntegrator.mjINT_EULER
     explicit = euler and bool(model.opt.disableflags & library.mjtDisableBit.mjDSBL_EULERDAMP)
     half, joints, drives = 0.5 * step, 0.0 if explicit else step, 0.0 if euler else step
-    late = tuple(
-        _in_steps(each, half, share)
-        for each, share in zip(own, _implicit_shares(model, joints, drives), strict=True)
+    shares = _implicit_shares(model, joints, drives)
+    late = (
+        None
+        if own is None
+        else tuple(_in_steps(e, half, share) for e, share in zip(own, shares, strict=True))
     )
     if model.opt.integrator == library.mjtIntegrator.mjINT_IMPLICIT:
-        return Engine(late, half, -half)  # all smooth loads are implicit
-    return Engine(late, half, half, joints, drives)
+        return Engine(late, half, -half, half)  # all smooth loads are implicit
+    return Engine(late, half, half, half, joints, drives)
 
 
 def _in_steps(soft: Softness, late: float, share: float) -> Softness:

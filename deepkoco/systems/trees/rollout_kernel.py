@@ -139,6 +139,10 @@ def tree_rollout(
             some = False
             for i in range(LANES):
                 turned[i] = False
+            if len(rubbing) and own_creeps[0, 0, 0] > 0.0:
+                mean_levels(
+                    tree, own, effects, forces, own_steady, angle, speed, 1.0, efforts, scratch, end, slide
+                )
             for r in range(len(rubbing)):
                 j = rubbing[r]
                 for i in range(LANES):
@@ -146,20 +150,6 @@ def tree_rollout(
                         turned[i] = True
                         some = True
                 if own_creeps[r, 0, 0] > 0.0:
-                    mean_levels(
-                        tree,
-                        own,
-                        effects,
-                        forces,
-                        own_steady,
-                        angle,
-                        speed,
-                        1.0,
-                        efforts,
-                        scratch,
-                        end,
-                        slide,
-                    )
                     for i in range(LANES):
                         if not slips(
                             speed[j, i],

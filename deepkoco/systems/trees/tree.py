@@ -154,15 +154,17 @@ class Engine:
     """What a simulation of a tree by the engine of its file does, and a machine does not.
 
     Attributes:
-        softness: How softly dry friction holds each joint.
+        softness: How softly dry friction holds each joint; None where it holds.
         lead: Time before its step at which a command acts [s].
         late: Time by which the speeds in all loads are late [s]; below 0: early.
+        shown_late: Time by which a speed that the engine shows is behind the position beside it [s].
         joints_ahead, drives_ahead: Time by which the damping of joints, and of servos, is ahead of these speeds [s].
     """
 
-    softness: tuple[Softness, ...]
+    softness: tuple[Softness, ...] | None
     lead: float = 0.0
     late: float = 0.0
+    shown_late: float = 0.0
     joints_ahead: float = 0.0
     drives_ahead: float = 0.0
 

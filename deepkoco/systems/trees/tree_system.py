@@ -64,8 +64,7 @@ from deepkoco.systems.trees.tree import Tree, TreeError
 from deepkoco.systems.trees.visible import visible_parameters
 
 AS_ENGINE = (
-    "simulated as MuJoCo does it, where dry friction creeps and commands act half a step early: the logs fit that "
-    "better than a machine whose friction holds"
+    "simulated as MuJoCo does it, not as a machine: dry friction creeps, and commands act half a step early"
 )
 
 
@@ -208,9 +207,16 @@ class TreeSystem(System):
     def command_timing(self, index: int, parameters: Parameters) -> CommandTiming:
         actuator = self.tree.actuators[index]
         lags = (time_constant(actuator, parameters),) if actuator.time_constant > 0.0 else ()
-        lead = 0.0 if self._steadying.engine is None else self._steadying.engine.lead
-        delay = control_delay(actuator, parameters) - lead
+        engine = self._steadying.engine
+        # The state along a log is the one that the speeds show, half a step before the positions.
+        ahead = 0.0 if engine is None else engine.shown_late - engine.lead
+        delay = control_delay(actuator, parameters) + ahead
         return CommandTiming(delay, lags, torch.zeros((), dtype=torch.float64))
+
+    def channel_delays(self, parameters: Parameters) -> dict[int, Tensor]:
+        late = 0.0 if self._steadying.engine is None else self._steadying.engine.shown_late
+        shown = torch.tensor(late, dtype=torch.float64)
+        return {} if late == 0.0 else {self.joints + j: shown for j in range(self.joints)}
 
     def timing(self, parameters: Parameters) -> Timing:
         zero = torch.zeros((), dtype=torch.float64)
@@ -243,7 +249,7 @@ class TreeSystem(System):
 
     def dry_friction_levels(self, parameters: Parameters) -> DryFriction:
         friction, engine = super().dry_friction_levels(parameters), self._steadying.engine
-        if engine is None:
+        if engine is None or engine.softness is None:
             return friction
         own = Numbers.of(self.tree, parameters)
         at = [torch.tensor(joint.reference, dtype=torch.float64) for joint in self.tree.joints]

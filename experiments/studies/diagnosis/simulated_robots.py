@@ -17,12 +17,13 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-import deepkoco
-from deepkoco.diagnose import Diagnosis
+from deepkoco.diagnose import Diagnosis, diagnose
 from deepkoco.output.whole_file import whole_file
+from deepkoco.systems import load_system
 from deepkoco.systems.trees.mujoco_library import mujoco_library
 from experiments.plumbing.provenance import provenance
 
@@ -254,7 +255,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args(arguments)
     table = args.out / f"cases_{args.seed}.csv"
-    rows: list[dict[str, str | float]] = []
+    rows: list[dict[str, Any]] = []
     if table.is_file():
         with table.open(newline="") as file:
             rows = list(csv.DictReader(file))
@@ -263,10 +264,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         folder.mkdir(parents=True, exist_ok=True)
         log, xml = write_log(case, folder)
         began = time.process_time()
-        found = deepkoco.diagnose(log, deepkoco.load_system(xml))
+        found = diagnose(log, load_system(xml))
         rows.append(row_of(case, found, time.process_time() - began))
         with whole_file(table) as part, part.open("w", newline="") as file:
-            writer = csv.DictWriter(file, COLUMNS)
+            writer: csv.DictWriter[str] = csv.DictWriter(file, COLUMNS)
             writer.writeheader()
             writer.writerows(rows)
         print(" ".join(f"{key}={value}" for key, value in rows[-1].items()), flush=True)

@@ -21,6 +21,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import torch
+from gymnasium import spaces
 from numpy.typing import NDArray
 
 from baselines.model_files import read_networks
@@ -29,6 +30,7 @@ from baselines.registry import BASELINES
 from deepkoco.agent.mean_interval import mean_with_band
 from deepkoco.agent.policy import load_model
 from deepkoco.agent.seeding import Purpose, derive_seed
+from deepkoco.envs.distractors.copied import resolve_copied
 from deepkoco.envs.distractors.registry import PIXEL, make_distractors
 from deepkoco.envs.distractors.state_wrapper import Mixer
 from deepkoco.envs.frames import FrameMaker, PaintedFrames, find_painter
@@ -81,28 +83,28 @@ def motions(run: TrainRunConfig, episodes: int, steps: int) -> NDArray[np.float6
 def show_states(run: TrainRunConfig, states: NDArray[np.float64], seed: int) -> Observations:
     """The task's motion (T, B, N) among distractors of states, as the agent of a run sees it."""
     envs = make_factory(run.task, "none")(1, run.seed)
+    batch, acted = states.shape[1], envs.single_action_space
+    assert isinstance(acted, spaces.Box)
     mixer = Mixer(
-        envs.single_observation_space, run.distractors, states.shape[1], run.distractor_options, run.task.system,
-        run.seed, "evaluation",
-    )  # fmt: skip
+        envs, run.distractors, batch, run.distractor_options, run.task.system, run.seed, "evaluation"
+    )
     envs.close()
     mixer.reset(seed)
-    return _step_by_step(states, mixer.mix, mixer.advance)
+    middle = np.broadcast_to(0.5 * (acted.low + acted.high), (batch, *acted.shape))
+    return _step_by_step(states, mixer.mix, lambda: mixer.advance(middle))
 
 
 def show_images(run: TrainRunConfig, states: NDArray[np.float64], seed: int) -> Observations:
     """The task's motion (T, B, N) as frames with distractors, as the agent of a run sees it."""
     envs = make_factory(run.task, "none")(1, run.seed)
-    painter = find_painter(envs)
+    painter, copied = find_painter(envs), resolve_copied(run.task.system, envs)
     envs.close()
     if painter is None:
         raise ExperimentError(
             f"task {run.task.name} is rendered: a motion of it cannot be shown again; choose a task that draws itself"
         )
     count, options = states.shape[1], run.distractor_options
-    layers = make_distractors(
-        PIXEL, run.distractors, count, options, run.task.system, "evaluation", FRAME_SIZE
-    )
+    layers = make_distractors(PIXEL, run.distractors, count, options, copied, "evaluation", FRAME_SIZE)
     maker = FrameMaker(PaintedFrames(painter), tuple(layers.values()), count, FRAME_SIZE)
     maker.reset(seed)
     return _step_by_step(states, maker.draw, maker.advance)

@@ -29,15 +29,16 @@ def in_mujoco(text):
     for k in range(round(SECONDS / model.opt.timestep)):
         data.ctrl[:] = efforts(np.array([k * model.opt.timestep]))[0]
         mujoco.mj_step(model, data)
-        path.append(data.qpos.copy())
+        path.append([*data.qpos, *data.qvel])
     return np.array(path)
 
 
 def in_ours(system, step):
-    """Positions at the ends of the steps of the engine, under commands that hold over each of them."""
-    timing = system.command_timing(0, system.default_parameters())
+    """Positions and speeds that a log shows at the ends of the engine's steps, under commands that hold over each."""
+    timing, late = system.command_timing(0, system.default_parameters()), system.channel_delays({})
+    behind = float(late.get(2, 0.0))  # of the speeds
     t = np.arange(0.0, SECONDS, FINE)
-    held = np.floor((t - float(timing.delay) + 1e-9) / step) * step
+    held = np.floor((t - (float(timing.delay) - behind) + 1e-9) / step) * step
     sent = np.where(held[:, None] >= 0.0, efforts(held), efforts(np.zeros(1)))
     start = (torch.zeros(1, 1, dtype=torch.float64),) * 4
     begin = [torch.from_numpy(sent[:, k].copy()).view(-1, 1, 1) for k in range(2)]
@@ -53,7 +54,9 @@ def in_ours(system, step):
     )
     value = system.rollout(p).run(given).value
     every = round(step / FINE)
-    return np.stack([value[k][every::every, 0, 0].numpy() for k in range(2)], 1)
+    nodes = np.arange(every, len(t) + 1, every)
+    places = [value[k][nodes, 0, 0].numpy() for k in range(2)]
+    return np.stack([*places, *(value[k][nodes - round(behind / FINE), 0, 0].numpy() for k in (2, 3))], 1)
 
 
 @pytest.mark.parametrize(
@@ -72,9 +75,10 @@ def test_a_tree_moves_as_in_the_steps_of_mujoco(tmp_path, integrator, flag):
         np.sqrt(((in_ours(machine, 0.004) - truth) ** 2).mean()),
         np.abs(truth).max(),
     )
-    error = np.sqrt(((in_ours(simulated, 0.004) - truth) ** 2).mean())
-    assert error < 0.05 * np.sqrt(((in_ours(machine, 0.004) - truth) ** 2).mean())
-    assert error < 1e-4 * np.abs(truth).max()
+    ours, others = (((in_ours(system, 0.004) - truth) ** 2).mean(0) ** 0.5 for system in (simulated, machine))
+    assert (ours[:2] < 0.05 * others[:2]).all()
+    assert (ours[2:] < 0.3 * others[2:]).all()
+    assert ours[:2].max() < 1e-4 * np.abs(truth[:, :2]).max()
 
 
 def test_steps_of_runge_kutta_are_those_of_a_machine(tmp_path):

@@ -72,7 +72,7 @@ def log_joints(
     """
     found: dict[str, LogJoint] = {}
     said: set[str] = set()
-    known = {"_".join(_words(name)) for name in joints}
+    known = {"_".join(words_of(name)) for name in joints}
     fitting = {parse_unit(unit).quantity for unit in units}
     for column in columns:
         if not column.usable:
@@ -103,7 +103,7 @@ def _take_states(columns: Sequence[ColumnSurvey], found: dict[str, LogJoint]) ->
     """Take `state_0`, `state_1` as positions where no name says a position, and each has its goal: `action_0`."""
     if any("position" in joint.columns for joint in found.values()):
         return
-    words = {column.label: _words(column.name) for column in columns if column.usable}
+    words = {column.label: words_of(column.name) for column in columns if column.usable}
     states = {
         said[1]: column
         for column in columns
@@ -182,13 +182,13 @@ def role_in_name(name: str, topic: str = "") -> tuple[str | None, str]:
         name, label = bracket.group(1), bracket.group(2)
         if label.lower() in _ROLE_WORDS and (outer := re.search(r"\[([^\[\]]*)\]", name)) is not None:
             name, label = f"{name} {label}", outer.group(1)  # interface_values[shoulder].values[position]
-    words = _words(name)
-    inner = _words(label)
+    words = words_of(name)
+    inner = words_of(label)
     if label:
         while len(inner) > 1 and inner[-1] in POSITION | SPEED | EFFORT:
             words.append(inner.pop())
     said = set(words)
-    around = set(_words(topic))
+    around = set(words_of(topic))
     goal = bool(said & GOAL) or (bool(around & GOAL) and not said & MEASURED and not around & MEASURED)
     if said & SPEED:
         role = "goal speed" if goal else "speed"
@@ -203,12 +203,12 @@ def role_in_name(name: str, topic: str = "") -> tuple[str | None, str]:
     return role, "_".join(kept)
 
 
-def _words(text: str) -> list[str]:
+def words_of(text: str) -> list[str]:
     """Words and numbers of a name in lower case, without a unit at its end."""
     plain = re.sub(r"\[[^\[\]]*\]", " ", text)
     spaced = re.sub(r"([a-z])([A-Z])", r"\1_\2", plain.replace("mNm", "mnm")).lower()
     words = [part for part in re.split(r"[^a-z0-9]+", spaced) if part]
-    if len(words) > 1 and words[-1] in ("rad", "deg", "nm", "mnm", "rpm"):
+    if len(words) > 1 and words[-1] in ("rad", "deg", "nm", "mnm", "rpm", "m", "mm", "cm"):
         words.pop()
     split: list[str] = []
     for word in words:

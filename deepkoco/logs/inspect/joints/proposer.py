@@ -100,8 +100,15 @@ def _apart(found: Sequence[LogJoint], system: System) -> list[tuple[int, int]]:
 
 
 def _add_loose_goals(survey: Survey, joints: list[LogJoint], system: System) -> None:
-    """Give goals without names of joints or of actuators, such as `data[0]`, to the joints that follow them."""
-    actuators = {role_in_name(channel.name)[1] for channel in system.commands}
+    """Give goals without names of joints, such as `data[0]`, to the joints that follow them.
+
+    What is called as an actuator that takes no position is no goal of one.
+    """
+    actuators = {
+        role_in_name(channel.name)[1]
+        for channel, joint in zip(system.commands, system.command_joints, strict=False)
+        if channel.unit != system.state_units[joint]
+    }
     loose = [goal for goal in loose_goals(survey.columns, joints) if role_of(goal)[1] not in actuators]
     free = [joint for joint in joints if "goal" not in joint.columns]
     for goal in loose:
