@@ -43,11 +43,10 @@ def test_healthy_log_of_mujoco_at_its_default_step_misses_nothing(tmp_path):
     path.write_text(PENDULUM)
     result = diagnose([mujoco_log(20005)], load_system(path))
     assert result.verdict == "nothing"
-    (lead,) = result.unexplained["minor"]
-    assert lead["name"] == "stamp_lead"
-    assert lead["parameters"]["stamp_lead.lead"]["value"] == pytest.approx(0.5 * STEP, rel=0.1)
-    # The parameters and the error in the report are those beside the lead.
-    assert result.chi2_after < 1.3 < 10.0 < result.chi2_before
+    # Half a step is what MuJoCo's commands lead by: nothing that a fit would have to find.
+    assert result.model.engine == "MuJoCo"
+    assert result.unexplained["minor"] == []
+    assert result.chi2_after < 1.3
     assert not result.moved
 
 

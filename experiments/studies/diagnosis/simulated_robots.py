@@ -196,11 +196,15 @@ def write_log(case: Case, folder: Path) -> tuple[Path, Path]:
     shown += np.array([case.noise[u] for u in units]) * rng.standard_normal(shown.shape)
     xml, log = folder / f"{case.robot}.xml", folder / "log.csv"
     xml.write_text(robot.text.format(**case.given))
-    actuators = [model.actuator(i).name for i in range(model.nu)]
+    # A goal has the unit of its joint, a motor with a gear has none.
+    goals = {f"s_{j}": f"_{u}" for j, u in zip(robot.joints, units, strict=True)}
+    commands = [
+        f"{name}_cmd{goals.get(name, '')}" for name in (model.actuator(i).name for i in range(model.nu))
+    ]
     header = [
         "time_s",
         *(f"{j}_pos_{u}" for j, u in zip(robot.joints, units, strict=True)),
-        *(f"{a}_cmd" for a in actuators),
+        *commands,
     ]
     rows = np.column_stack([t, shown, command])
     np.savetxt(log, rows, fmt="%.6f", delimiter=",", header=",".join(header), comments="")
