@@ -21,7 +21,7 @@ class Channel:
         angle: Whether the signal is an angle that may be wrapped by a sensor.
         zero_sd: Standard deviation of the sensor's zero from one log to the next, in ``unit``.
         default: Value of a command that a log does not show; None if every log must show it.
-        guessed: Whether nobody stated ``noise_sd``: no log can then be noisier than stated.
+        guessed: Whether nobody stated ``noise_sd``, or the limits of a command: no log can then be noisier than stated.
     """
 
     name: str

@@ -29,7 +29,8 @@ from deepkoco.systems import System
 MOST_LOGS = 40  # of those with the same columns that are compared
 SAME_NAME = "the same name"
 ONE_UNIT = (0.7, 1.4)  # slope of a position against its goal, from which both are in one unit
-WITHIN = 1.2  # times the limits of an actuator, within which its commands are in its unit
+# Times the limits of an actuator, within which its commands are in its unit; and those that only its load lets guess.
+WITHIN, ABOUT = 1.2, 10.0
 
 
 class SureMappings:
@@ -136,7 +137,8 @@ def _doubt_of_command(choice: Choice, joints: dict[str, JointFinding], system: S
         return None
     most = max(abs(channel.low), abs(channel.high))
     largest = max(abs(column.low or 0.0), abs(column.high or 0.0))
-    if channel.unit != "1" or said & EFFORT or largest > WITHIN * most:
+    beyond = largest > (ABOUT if channel.guessed else WITHIN) * most
+    if channel.unit != "1" or said & EFFORT or beyond:
         return f"no name says that {column.label} is in {choice.unit}"
     return None
 

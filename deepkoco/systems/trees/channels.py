@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from deepkoco.systems.channel import Channel
@@ -36,6 +37,7 @@ def command_channels(tree: Tree, ranges: Sequence[tuple[float, float]]) -> tuple
             high if high > 0.0 else -low,
             description=_drives(a, tree),
             default=0.0 if tree.without_actuators and not is_servo(a) else None,
+            guessed=not (math.isfinite(a.low) and math.isfinite(a.high)),
         )
         for a, (low, high) in zip(tree.actuators, ranges, strict=True)
     )
