@@ -127,6 +127,8 @@ def _doubt_of_command(choice: Choice, joints: dict[str, JointFinding], system: S
     if len(choice.reasons) > 1 and any("in the place of" in reason for reason in choice.reasons):
         return f"{column.label} is measured, and may not be the command {channel.name}"
     if driven is not None and channel.unit == system.state_units[driven]:
+        if column.hints.unit is not None and column.hints.unit == choice.unit:
+            return None
         finding = joints.get(system.joint_names[driven])
         tracking = None if finding is None else finding.tracking
         follows = tracking is not None and tracking.follows and ONE_UNIT[0] < tracking.slope < ONE_UNIT[1]
