@@ -44,12 +44,15 @@ class DryFriction:
         joints: Joints that can have any, those of ``varying`` included.
         varying: (motion, J levels) -> J levels with those added that depend on the motion; None for none.
         creeps: Of each joint, how softly its friction holds it; None where friction holds every joint.
+        ahead: Armature of each joint that an engine adds to its steps, but not to the equations of its friction
+            [kg m2 or kg]; None for none.
     """
 
     steady: Levels
     joints: tuple[int, ...]
     varying: Callable[[Motion, Levels], Levels] | None = None
     creeps: Creeps = None
+    ahead: Values | None = None
 
     def levels(self, motion: Motion) -> Levels:
         """J levels in a state of motion [N m or N]; None for a joint without dry friction."""
@@ -106,6 +109,7 @@ def rubbed(
     inverse: tuple[Values, ...],
     h: float,
     creeps: Creeps = None,
+    ahead: Values | None = None,
 ) -> Rubbed:
     """Find the friction loads of all joints over a step, and correct the speeds after it.
 
@@ -117,8 +121,10 @@ def rubbed(
         stick: J levels of dry friction of joints at rest.
         inverse: J rows of the inverse inertia.
         h: Step [s].
-        creeps: As of :class:`DryFriction`.
+        creeps, ahead: As of :class:`DryFriction`.
     """
+    if ahead is not None:
+        return _rubbed_before(before, after, applied, slide, stick, inverse, h, creeps, ahead)
     joints = range(len(before))
     soft = [creep.inertia for creep in creeps or ()]
     if is_plain([*before, *after, *applied, *slide, *stick, *soft, *(w for row in inverse for w in row)]):
@@ -159,6 +165,54 @@ def rubbed(
         tuple(load.get(j) for j in joints),
         tuple(hold.get(j) for j in joints),
     )
+
+
+def _rubbed_before(
+    before: Values,
+    after: Values,
+    applied: Levels,
+    slide: Levels,
+    stick: Levels,
+    inverse: tuple[Values, ...],
+    h: float,
+    creeps: Creeps,
+    ahead: Values,
+) -> Rubbed:
+    """As :func:`rubbed`, with friction that is found before the armatures ``ahead`` slow down the step.
+
+    With the inertia M + D of the step, D = diag(ahead), the accelerations before are a + M^-1 D a. The inverse of M
+    follows from that of M + D by a rank-one update for each joint (Sherman and Morrison).
+    """
+    joints = range(len(before))
+    bare = [list(row) for row in inverse]
+    for j in joints:
+        share = ahead[j] / (1.0 - ahead[j] * bare[j][j])
+        column = [bare[k][j] for k in joints]
+        bare = [[bare[k][i] + share * column[k] * bare[j][i] for i in joints] for k in joints]
+    mean = [(b - a) / h for a, b in zip(before, after, strict=True)]
+    first = [mean[k] + sum(bare[k][i] * ahead[i] * mean[i] for i in joints) for k in joints]
+    found = rubbed(
+        before,
+        tuple(v + h * a for v, a in zip(before, first, strict=True)),
+        applied,
+        slide,
+        stick,
+        tuple(tuple(row) for row in bare),
+        h,
+        creeps,
+    )
+    changed = {
+        j: new - given
+        for j, (given, new) in enumerate(zip(applied, found.load, strict=True))
+        if given is not None and new is not None
+    }
+    speed, moved = [], []
+    for k in joints:
+        end = before[k] + h * (mean[k] + sum(inverse[k][j] * load for j, load in changed.items()))
+        bend = found.moved[k] - 0.5 * h * (before[k] + found.speed[k])
+        speed.append(end)
+        moved.append(0.5 * h * (before[k] + end) + bend)
+    return Rubbed(tuple(speed), tuple(moved), found.load, found.hold)
 
 
 def _rubbed_in_a_loop(

@@ -95,6 +95,45 @@ def rub_element(
             break
 
 
+@njit(**UNCOUNTED)
+def rub_before(
+    before, load, slide, stick, inverse, ahead, bare, room, rubbing, creeps, mean, step, sweeps, close, speed, moved,
+    hold, n,
+):  # fmt: skip
+    """As :func:`rub_element`, with friction found before the armatures ``ahead`` (J, N) slow down the step.
+
+    ``bare`` (J, J, N) and ``room`` (2, J) are overwritten: see `dry_friction._rubbed_before`.
+    """
+    joints = len(mean)
+    for j in range(joints):
+        for k in range(joints):
+            bare[j, k, n] = inverse[j, k, n]
+    for j in range(joints):
+        share = ahead[j, n] / (1.0 - ahead[j, n] * bare[j, j, n])
+        for k in range(joints):
+            room[0, k] = bare[k, j, n]
+        for k in range(joints):
+            for i in range(joints):
+                bare[k, i, n] += share * room[0, k] * room[0, i]
+    for k in range(joints):
+        room[1, k] = mean[k]
+        for i in range(joints):
+            room[1, k] += bare[k, i, n] * ahead[i, n] * mean[i]
+    for r in range(len(rubbing)):
+        room[0, r] = load[r, n]
+    rub_element(
+        before, load, slide, stick, bare, rubbing, creeps, room[1], step, sweeps, close, speed, moved, hold, n
+    )
+    for r in range(len(rubbing)):
+        for k in range(joints):
+            mean[k] += inverse[k, rubbing[r], n] * (load[r, n] - room[0, r])
+    for r in range(len(rubbing)):
+        j = rubbing[r]
+        bend = moved[j, n] - 0.5 * step * (before[j, n] + speed[j, n])
+        speed[j, n] = before[j, n] + step * mean[j]
+        moved[j, n] = 0.5 * step * (before[j, n] + speed[j, n]) + bend
+
+
 @njit(cache=True, error_model="numpy", nogil=True)
 def rub(
     before,  # (J, N) speeds at the start of the step

@@ -160,12 +160,11 @@ class StickSlip:
         if self._friction.varying:
             slide = self._friction.levels(halfway._replace(speeds=tuple(0.5 * v for v in speeds)))
             stick = self._friction.levels(halfway._replace(speeds=tuple(torch.zeros_like(v) for v in speeds)))
-        found = rubbed(
-            speeds, free[1], sliding_loads(slide, direction), slide, stick, inverse, h, self._friction.creeps
-        )
+        soft = self._friction.creeps, self._friction.ahead
+        found = rubbed(speeds, free[1], sliding_loads(slide, direction), slide, stick, inverse, h, *soft)
         direction, left_over, applied = as_shares(found.load, slide, direction)
         again = self._runge_kutta(joints, efforts, direction, h, left_over)
-        found = rubbed(speeds, again[1], applied, slide, stick, inverse, h, self._friction.creeps)
+        found = rubbed(speeds, again[1], applied, slide, stick, inverse, h, *soft)
         hold, ways, rest = as_shares(found.hold, stick, direction)[0], [], []
         for j, own in enumerate(found.speed):
             # The part of the way that a constant acceleration does not explain stays, but not for a joint at rest.

@@ -102,6 +102,34 @@ def test_the_compiled_loop_agrees_with_torch(seed, joints):
     assert all(abs(float(f)) <= F + 1e-9 for f, F in zip(found.load, levels, strict=True))
 
 
+@QUICK
+@given(st.integers(0, 10_000), st.integers(1, 3))
+def test_friction_is_found_before_an_armature_of_the_step(seed, joints):
+    # Level without bound: f = -D (a + b v) with M a = u + f, and then (M + A) a' = u + f. All joints creep.
+    rng = np.random.default_rng(seed)
+    root = rng.standard_normal((joints, joints))
+    mass, load, speed = (
+        root @ root.T + np.eye(joints),
+        rng.standard_normal(joints),
+        0.1 * rng.standard_normal(joints),
+    )
+    armature, soft, rate, h = rng.uniform(0.05, 0.5, joints), rng.uniform(0.5, 3.0, joints), 50.0, 1e-6
+    bare, whole = np.linalg.inv(mass), np.linalg.inv(mass + np.diag(armature))
+    friction = np.linalg.solve(np.eye(joints) + soft[:, None] * bare, -soft * (bare @ load + rate * speed))
+    wanted = whole @ (load + friction)
+
+    def tensors(values):
+        return tuple(number(v) for v in values)
+
+    zero, level = tensors(np.zeros(joints)), tensors(np.full(joints, 100.0))
+    found = rubbed(
+        tensors(speed), tensors(speed + h * (whole @ load)), zero, level, level, tuple(map(tensors, whole)), h,
+        tuple(Creep(number(d), rate) for d in soft), tensors(armature),
+    )  # fmt: skip
+    got = [(float(v) - w) / h for v, w in zip(found.speed, speed, strict=True)]
+    assert got == pytest.approx(wanted, rel=1e-3, abs=1e-3)
+
+
 @pytest.fixture(scope="module")
 def head(tmp_path_factory):
     path = tmp_path_factory.mktemp("robot") / "head.xml"

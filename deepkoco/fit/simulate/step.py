@@ -232,10 +232,10 @@ def corrected(
         step: Its result.
     """
     at = contact_of(equations, angle, speed, drive, direction)
-    creeps = equations.friction.creeps
-    found = rubbed(speed, step.speed, at.applied, at.slide, at.stick, at.inverse, h, creeps)
+    creeps, ahead = equations.friction.creeps, equations.friction.ahead
+    found = rubbed(speed, step.speed, at.applied, at.slide, at.stick, at.inverse, h, creeps, ahead)
     again, direction, applied = step_again(equations, angle, speed, drive, direction, at, found.load, h)
-    found = rubbed(speed, again.speed, applied, at.slide, at.stick, at.inverse, h, creeps)
+    found = rubbed(speed, again.speed, applied, at.slide, at.stick, at.inverse, h, creeps, ahead)
     bound = bound_of(angle, speed, again, direction, at.stick, found, h)
     return bound if creeps is None else _with_mean_ends(equations.friction, at.slide, speed, bound, h)
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import numpy as np
 from torch import Tensor
 
 from deepkoco.systems.motion import Acceleration, Motion
@@ -22,7 +21,6 @@ from deepkoco.systems.trees.stiffness import larger
 from deepkoco.systems.trees.tree import Actuator, Engine, Softness
 
 LARGEST_SHARE = 0.5
-JOINT = 0  # mjtTrn.mjTRN_JOINT
 LEAST_IMPEDANCE, MOST_IMPEDANCE = 1e-4, 0.9999  # mjMINIMP, mjMAXIMP
 
 
@@ -44,45 +42,16 @@ def engine_of(model: Model) -> Engine | None:
     euler = model.opt.integrator == library.mjtIntegrator.mjINT_EULER
     explicit = euler and bool(model.opt.disableflags & library.mjtDisableBit.mjDSBL_EULERDAMP)
     half, joints, drives = 0.5 * step, 0.0 if explicit else step, 0.0 if euler else step
-    shares = _implicit_shares(model, joints, drives)
-    late = (
-        None
-        if own is None
-        else tuple(_in_steps(e, half, share) for e, share in zip(own, shares, strict=True))
-    )
+    late = None if own is None else tuple(_with_late_speed(each, half) for each in own)
     if model.opt.integrator == library.mjtIntegrator.mjINT_IMPLICIT:
         return Engine(late, half, -half, half)  # all smooth loads are implicit
     return Engine(late, half, half, half, joints, drives)
 
 
-def _in_steps(soft: Softness, late: float, share: float) -> Softness:
-    """The constraint D ((1 + share) v' + b (v - late v')) as one of v' and v alone.
-
-    MuJoCo finds the friction from the speed of half a step before, and from the acceleration without the armature that
-    stands for an implicit damping.
-
-    Args:
-        soft: The constraint of the file.
-        late: Half a step [s].
-        share: That armature, over the inertia that the joint moves.
-    """
-    kept = 1.0 + share - soft.rate * late
+def _with_late_speed(soft: Softness, late: float) -> Softness:
+    """The constraint D (v' + b (v - late v')), which MuJoCo finds from the speed of half a step before."""
+    kept = 1.0 - soft.rate * late
     return soft if kept <= 0.0 else Softness(soft.inertia * kept, soft.rate / kept)
-
-
-def _implicit_shares(model: Model, joints: float, drives: float) -> list[float]:
-    """Armature of each joint that stands for its implicit damping, over the inertia that it moves at the reference."""
-    own = {int(model.jnt_dofadr[j]): j for j in range(model.njnt)}
-    found = [0.0] * model.njnt
-    for dof, j in own.items():
-        damping = joints * float(np.ravel(model.dof_damping[dof])[0])
-        for a in range(model.nu):
-            if model.actuator_trntype[a] == JOINT and int(model.actuator_trnid[a, 0]) == j:
-                damping -= (
-                    drives * float(model.actuator_gear[a, 0]) ** 2 * float(model.actuator_biasprm[a, 2])
-                )
-        found[j] = damping * float(model.dof_invweight0[dof])
-    return found
 
 
 def ahead(

@@ -74,7 +74,7 @@ class TreeRollout:
         from deepkoco.systems.trees.effect_kernel import MOST_VALUES
         from deepkoco.systems.trees.rollout_kernel import tree_rollout
 
-        soft = [creep.inertia for creep in given.friction.creeps or ()]
+        soft = [creep.inertia for creep in given.friction.creeps or ()] + [*(given.friction.ahead or ())]
         tensors = [*given.start, *given.begin, *given.slope, given.loads, *given.friction.steady, *soft]
         if not is_plain(tensors):
             return None
@@ -124,6 +124,9 @@ class TreeRollout:
             _in_groups(x, law.shape, numbers) for x in (law.inertia, law.gravity, law.passive, law.law)
         )
         time = np.array(np.broadcast_to(given.time.numpy(), shape)).ravel()
+        ahead = np.zeros((joints, *numbers))
+        for j, added in enumerate(given.friction.ahead or ()):
+            ahead[j] = added.numpy()
         creeps = creep_table(given.friction.creeps, given.friction.joints, numbers).reshape(-1, 2, groups)
         tree_rollout(
             tree, group, own,
@@ -133,7 +136,8 @@ class TreeRollout:
             np.array([force.joint for force in self._forces], np.int64), force_table(pulls, numbers),
             np.array(given.friction.joints, np.int64), creeps,
             steady.reshape(joints, groups), given.step, start, time, sent, begin, slope, loads,
-            1 if len(given.friction.joints) == 1 else SWEEPS, CLOSE, self._late, value, left, right,
+            ahead.reshape(joints, groups), 1 if len(given.friction.joints) == 1 else SWEEPS, CLOSE,
+            self._late, value, left, right,
         )  # fmt: skip
         return RolloutResult(*(_parts(x, shape) for x in (value, left, right)))
 

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from deepkoco.systems.dry_friction import HUGE
-from deepkoco.systems.dry_friction_loop import rub_element, slips
+from deepkoco.systems.dry_friction_loop import rub_before, rub_element, slips
 from deepkoco.systems.trees.block_sizes import LANES
 from deepkoco.systems.trees.effect_kernel import MOST_VALUES, is_level
 from deepkoco.systems.trees.mass_matrix_kernel import solve
@@ -21,7 +21,7 @@ from deepkoco.systems.trees.newton_euler_kernel import LOAD, ROWS, SPARE
 from deepkoco.systems.trees.step_kernel import mean_levels, runge_kutta
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "bfd42f42a8562bbd"
+COMPILED_WITH = "6bc6b5a0be69c39b"
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -44,6 +44,7 @@ def tree_rollout(
     begin,  # (M, n, C) efforts at the start of each step
     slope,  # (M, n, C) per second
     loads,  # (J, n, N) outside loads, or (0, n, N) for none
+    ahead,  # (J, G) armatures that are in the steps, but not in the friction's equations
     sweeps,  # largest number, of dry friction
     close,  # change of an acceleration, as a share of it, at which these end
     late,  # time by which the speeds in all loads are late [s]
@@ -81,6 +82,8 @@ def tree_rollout(
     load, moving, resting, hold = friction[0], friction[1], friction[2], friction[3]
     inverse = np.empty((joints, joints, LANES))
     accelerated, is_rubbing = np.empty(joints), np.zeros(joints, np.bool_)
+    own_ahead, some_ahead = np.empty((joints, LANES)), ahead.any()
+    bare, spared = np.empty((joints, joints, LANES)), np.empty((2, joints))
     for r in range(len(rubbing)):
         is_rubbing[rubbing[r]] = True
     turned = np.zeros(LANES, np.bool_)
@@ -109,6 +112,8 @@ def tree_rollout(
             for m in range(len(pulled)):
                 for row in range(6):
                     own_pulls[m, row, i] = pulls[m, row, g]
+            for k in range(joints):
+                own_ahead[k, i] = ahead[k, g]
             for r in range(len(rubbing)):
                 for row in range(2):
                     own_creeps[r, row, i] = creeps[r, row, g]
@@ -190,10 +195,16 @@ def tree_rollout(
                     if turned[i]:
                         for k in range(joints):
                             accelerated[k] = (v[k, i] - speed[k, i]) / step
-                        rub_element(
-                            speed, load, moving, resting, inverse, rubbing, own_creeps, accelerated, step, sweeps,
-                            close, end, moved, hold, i,
-                        )  # fmt: skip
+                        if some_ahead:
+                            rub_before(
+                                speed, load, moving, resting, inverse, own_ahead, bare, spared, rubbing, own_creeps,
+                                accelerated, step, sweeps, close, end, moved, hold, i,
+                            )  # fmt: skip
+                        else:
+                            rub_element(
+                                speed, load, moving, resting, inverse, rubbing, own_creeps, accelerated, step, sweeps,
+                                close, end, moved, hold, i,
+                            )  # fmt: skip
                         for r in range(len(rubbing)):
                             j = rubbing[r]
                             if slide[j, i] > 0.0:
@@ -212,10 +223,16 @@ def tree_rollout(
                         continue
                     for k in range(joints):
                         accelerated[k] = (v[k, i] - speed[k, i]) / step
-                    rub_element(
-                        speed, load, moving, resting, inverse, rubbing, own_creeps, accelerated, step, sweeps, close,
-                        end, moved, hold, i,
-                    )  # fmt: skip
+                    if some_ahead:
+                        rub_before(
+                            speed, load, moving, resting, inverse, own_ahead, bare, spared, rubbing, own_creeps,
+                            accelerated, step, sweeps, close, end, moved, hold, i,
+                        )  # fmt: skip
+                    else:
+                        rub_element(
+                            speed, load, moving, resting, inverse, rubbing, own_creeps, accelerated, step, sweeps,
+                            close, end, moved, hold, i,
+                        )  # fmt: skip
                     for k in range(joints):
                         if not is_rubbing[k]:
                             end[k, i] = speed[k, i] + step * accelerated[k]

@@ -34,7 +34,7 @@ from deepkoco.systems.trees.base_tilt import tilt_parameters, turned_gravity
 from deepkoco.systems.trees.channels import command_channels, joint_channels, refuse_clashes
 from deepkoco.systems.trees.compile_tree import compile_tree
 from deepkoco.systems.trees.dynamics import inverse_mass, mass_matrix
-from deepkoco.systems.trees.engine import with_late_speeds
+from deepkoco.systems.trees.engine import ahead, with_late_speeds
 from deepkoco.systems.trees.equations import Numbers, Steadying, actuators_of_joints, equations_of_motion
 from deepkoco.systems.trees.fast import TreeArrays
 from deepkoco.systems.trees.geometry import geometry_parameters
@@ -257,7 +257,11 @@ class TreeSystem(System):
         creeps = tuple(
             Creep(soft.inertia / inverse[j][j], soft.rate) for j, soft in enumerate(engine.softness)
         )
-        return replace(friction, creeps=creeps)
+        added = ahead(engine, self.tree.actuators, self._steadying.least_inertias, own.passive, own.laws)
+        if all(not isinstance(x, Tensor) and x == 0.0 for x in added):
+            return replace(friction, creeps=creeps)
+        armatures = tuple(torch.as_tensor(x, dtype=torch.float64) for x in added)
+        return replace(friction, creeps=creeps, ahead=armatures)
 
     engine = property(lambda self: None if self._steadying.engine is None else "MuJoCo")
 
