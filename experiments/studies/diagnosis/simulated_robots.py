@@ -108,10 +108,8 @@ ROBOTS = {
 HIDDEN = ("nothing", "friction", "damping", "drive", "delay")
 FACTORS = {"friction": (2.0, 4.0), "damping": (2.0, 4.0), "drive": (0.55, 0.8)}
 DELAY = (0.012, 0.03)  # [s]
-SPREAD = {
-    "damping": 0.03,
-    "friction": 0.03,
-}  # by which a value of a unit differs from its file; others by OTHER
+# By which a value of a unit differs from its file; others by OTHER. Lengths of links are known from drawings.
+SPREAD = {"damping": 0.03, "friction": 0.03, "length": 0.0}
 OTHER = 0.01
 NOISE = {"rad": (3e-4, 1.5e-3), "m": (5e-5, 3e-4)}
 RATE, SECONDS = 100, 25.0
