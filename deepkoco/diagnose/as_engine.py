@@ -24,6 +24,9 @@ SOME = 16  # windows that decide
 # Fall of the cost, in noise variances that the engine leaves, from which it counts. Logs without rest and with much
 # noise leave both alike.
 MARGIN = 10.0
+# Noise variances that a simulation by the engine leaves of its own logs at most. A real robot that its file describes
+# badly leaves hundreds with either law, and which of two refits ends lower says nothing of friction.
+NEAR = 10.0
 
 log = logging.getLogger(__name__)
 
@@ -57,6 +60,6 @@ def as_engine_if_shown(
         except DivergedError:
             return system
         costs.append(fit.cost)
-        left = max(fit.chi2 / max(windows.samples, 1), 1.0)
+        left = fit.chi2 / max(windows.samples, 1)
     log.debug("%s: costs %.1f as a machine, %.1f as in %s", system.name, *costs, simulated.engine)
-    return simulated if costs[0] - costs[1] > MARGIN * left else system
+    return simulated if left <= NEAR and costs[0] - costs[1] > MARGIN * max(left, 1.0) else system

@@ -6,7 +6,7 @@ import logging
 from collections.abc import Sequence
 from dataclasses import replace
 
-from deepkoco.diagnose.as_engine import MARGIN
+from deepkoco.diagnose.as_engine import MARGIN, NEAR
 from deepkoco.diagnose.baseline import baseline_from, with_gauges_fixed
 from deepkoco.diagnose.evidence.priors import prior_with
 from deepkoco.diagnose.explanation import Explanation
@@ -66,6 +66,8 @@ def _fits_better(other: ExtendedSystem, explanation: Explanation) -> bool:
     trial = Trial("engine", prior.names, prior, fit.values, fit.state, fit.nuisance)
     same, again = (problem.fit([trial])[0] for problem in (found.acting, FitProblem(other, windows)))
     if again.diverged or same.diverged:
+        return False
+    if other.engine is not None and again.chi2 > NEAR * windows.samples:
         return False
     log.debug("with causes: %.1f as it is, %.1f the other way", same.cost, again.cost)
     return same.cost - again.cost > MARGIN * max(again.chi2 / max(windows.samples, 1), 1.0)
