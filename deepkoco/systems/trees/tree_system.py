@@ -146,7 +146,9 @@ class TreeSystem(System):
             tree = compile_tree(model, path.stem)
         except TreeError as error:
             raise TreeError(f"{path}: {error}") from None
-        return cls(replace(tree, notes=(*notes, *tree.notes)), str(path), settings)
+        # A URDF file is of no engine: the steps and the softness that its reader takes are nobody's statement.
+        engine = None if path.suffix.lower() == ".urdf" else tree.engine
+        return cls(replace(tree, notes=(*notes, *tree.notes), engine=engine), str(path), settings)
 
     commands = property(lambda self: self._commands)
 
