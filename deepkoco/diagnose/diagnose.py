@@ -17,7 +17,7 @@ from deepkoco.diagnose.causes import catalogue, causes_named, measured_channels,
 from deepkoco.diagnose.data import MIN_TRAINING_WINDOWS, cut_data
 from deepkoco.diagnose.diagnosis import Diagnosis
 from deepkoco.diagnose.evidence.selection import DETECTION
-from deepkoco.diagnose.healthy import learn_baseline
+from deepkoco.diagnose.healthy import learn_as_simulated
 from deepkoco.diagnose.longer_windows import on_longer_windows
 from deepkoco.diagnose.probability.shadow import with_evidence
 from deepkoco.diagnose.progress import Progress, silent
@@ -132,7 +132,7 @@ def diagnose(
         learned, unfitted = baseline, ()
         if learned is None and healthy:
             try:
-                learned = learn_baseline(healthy, base, length, progress, limit=limit)
+                learned = learn_as_simulated(healthy, base, length, progress, limit=limit)
             except DivergedError as error:
                 unfitted = (f"the healthy logs, which are left out ({error})",)
         if learned is not None:

@@ -70,8 +70,21 @@ def learn_baseline(
         extension: Largest number of small effects that are added.
         limit: Asked before each of them; it remembers what it refused. None allows all.
     """
-    limit = TimeLimit() if limit is None else limit
     system = as_engine_if_shown(recordings, system, length)
+    return learn_as_simulated(recordings, system, length, progress, extension, limit)
+
+
+@one_thread()
+def learn_as_simulated(
+    recordings: Sequence[Recording],
+    system: System,
+    length: float,
+    progress: Progress = silent,
+    extension: int = LARGEST_EXTENSION,
+    limit: TimeLimit | None = None,
+) -> Baseline:
+    """As :func:`learn_baseline`, where it is known whether the logs are of a machine or of an engine."""
+    limit = TimeLimit() if limit is None else limit
     try:
         # Every effect changes the floor, and only the last one counts.
         return _learn(recordings, system, length, progress, extension, limit, False)

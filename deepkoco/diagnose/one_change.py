@@ -30,15 +30,15 @@ ODDS = math.log(10.0)  # log odds against a rough file and against none, from wh
 
 
 def one_change(base: Refitted, fit: Fit) -> dict[str, float]:
-    """Return log weight of each parameter that explains a fit, changed alone, better than a rough file does.
+    """Return how well each parameter explains a fit, changed alone, where better than a rough file does.
 
     Args:
         base: The refitted baseline.
         fit: Its refit, with causes or without.
 
     Returns:
-        Name of the parameter -> log odds against a rough file and against units of one make; empty where nobody
-        guessed a prior, healthy logs say what the unit is, or no single change is enough.
+        Name of the parameter -> log odds [nats] against a rough file and against units of one make; empty where
+        nobody guessed a prior, healthy logs say what the unit is, or no single change is enough.
     """
     start = base.start
     if base.learned.healthy is not None or start.tempering > 1.0 or not guessed(start):
@@ -46,6 +46,8 @@ def one_change(base: Refitted, fit: Fit) -> dict[str, float]:
     names = [n for n in start.prior.names if n in fit.free and "." not in n]
     rows, own = [fit.free.index(n) for n in names], [start.prior.names.index(n) for n in names]
     guess = start.prior.covariance[np.ix_(own, own)]
+    if not (guess.diagonal() > 0.0).all():
+        return {}
     deflation = max(dispersion(fit, base.train).deflation, start.least_deflation)
     data = fit.information[np.ix_(rows, rows)]
     away = np.array([fit.values[n] for n in names]) - start.prior.centre[own]

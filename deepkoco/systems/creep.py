@@ -21,8 +21,6 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-LEAST = 1e-30  # keeps 0 / 0 away in branches that are not taken
-
 
 class Creep(NamedTuple):
     """How softly dry friction holds a joint.

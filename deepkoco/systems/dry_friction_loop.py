@@ -134,6 +134,37 @@ def rub_before(
         moved[j, n] = 0.5 * step * (before[j, n] + speed[j, n]) + bend
 
 
+@njit(**UNCOUNTED)
+def rub_in_step(
+    some_ahead, before, load, slide, stick, inverse, ahead, bare, room, rubbing, creeps, mean, step, sweeps, close,
+    speed, moved, hold, n,
+):  # fmt: skip
+    """As :func:`rub_before` where any armature is ahead, else as :func:`rub_element`."""
+    if some_ahead:
+        rub_before(
+            before, load, slide, stick, inverse, ahead, bare, room, rubbing, creeps, mean, step, sweeps, close, speed,
+            moved, hold, n,
+        )  # fmt: skip
+    else:
+        rub_element(
+            before,
+            load,
+            slide,
+            stick,
+            inverse,
+            rubbing,
+            creeps,
+            mean,
+            step,
+            sweeps,
+            close,
+            speed,
+            moved,
+            hold,
+            n,
+        )
+
+
 @njit(cache=True, error_model="numpy", nogil=True)
 def rub(
     before,  # (J, N) speeds at the start of the step

@@ -124,7 +124,7 @@ def _doubt_of_command(choice: Choice, joints: dict[str, JointFinding], system: S
     number = [c.name for c in system.commands].index(channel.name)
     driven = system.command_joints[number] if number < len(system.command_joints) else None
     said = set(words_of(column.name))
-    if len(choice.reasons) > 1 and any("in the place of" in reason for reason in choice.reasons):
+    if any("in the place of" in reason for reason in choice.reasons):
         return f"{column.label} is measured, and may not be the command {channel.name}"
     if driven is not None and channel.unit == system.state_units[driven]:
         if column.hints.unit is not None and column.hints.unit == choice.unit:

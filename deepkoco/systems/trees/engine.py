@@ -10,17 +10,22 @@ of Runge-Kutta have none of this. What is left is of the order of h^2.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
+import torch
 from torch import Tensor
 
+from deepkoco.systems.creep import Creep
+from deepkoco.systems.dry_friction import DryFriction
 from deepkoco.systems.motion import Acceleration, Motion
+from deepkoco.systems.trees.dynamics import Inertia, inverse_mass
 from deepkoco.systems.trees.mujoco_library import Model, mujoco_library
 from deepkoco.systems.trees.parameters import Law
 from deepkoco.systems.trees.scalars import Scalar, add, mul
 from deepkoco.systems.trees.stiffness import larger
-from deepkoco.systems.trees.tree import Actuator, Engine, Softness
+from deepkoco.systems.trees.tree import Actuator, Engine, Joint, Softness
 
-LARGEST_SHARE = 0.5
+LARGEST_SHARE = 0.5  # of the inertia that a joint moves, which a damping below 0 may take off
 LEAST_IMPEDANCE, MOST_IMPEDANCE = 1e-4, 0.9999  # mjMINIMP, mjMAXIMP
 
 
@@ -75,6 +80,31 @@ def ahead(
         j = actuator.joint
         added[j] = add(added[j], mul(-engine.drives_ahead * actuator.gear**2, law.bias[2]))
     return [larger(own, -LARGEST_SHARE * most) for own, most in zip(added, least, strict=True)]
+
+
+def creeping(
+    friction: DryFriction,
+    softness: Sequence[Softness],
+    joints: Sequence[Joint],
+    inertias: Sequence[Inertia],
+    armatures: Sequence[Scalar],
+    added: Sequence[Scalar],
+) -> DryFriction:
+    """Dry friction that creeps with the inertia that each joint moves at its reference.
+
+    Args:
+        friction: Levels.
+        softness: Of each joint.
+        joints, inertias, armatures: Of the tree, as for :func:`.inverse_mass`.
+        added: As of :func:`ahead`.
+    """
+    at = [torch.tensor(joint.reference, dtype=torch.float64) for joint in joints]
+    inverse = inverse_mass(joints, inertias, armatures, at)
+    creeps = tuple(Creep(soft.inertia / inverse[j][j], soft.rate) for j, soft in enumerate(softness))
+    if all(not isinstance(x, Tensor) and x == 0.0 for x in added):
+        return replace(friction, creeps=creeps)
+    early = tuple(torch.as_tensor(x, dtype=torch.float64) for x in added)
+    return replace(friction, creeps=creeps, ahead=early)
 
 
 def with_late_speeds(law: Acceleration, late: float) -> Acceleration:

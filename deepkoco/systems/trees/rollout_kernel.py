@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from deepkoco.systems.dry_friction import HUGE
-from deepkoco.systems.dry_friction_loop import rub_before, rub_element, slips
+from deepkoco.systems.dry_friction_loop import rub_in_step, slips
 from deepkoco.systems.trees.block_sizes import LANES
 from deepkoco.systems.trees.effect_kernel import MOST_VALUES, is_level
 from deepkoco.systems.trees.mass_matrix_kernel import solve
@@ -21,7 +21,7 @@ from deepkoco.systems.trees.newton_euler_kernel import LOAD, ROWS, SPARE
 from deepkoco.systems.trees.step_kernel import mean_levels, runge_kutta
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "6bc6b5a0be69c39b"
+COMPILED_WITH = "64869810685d2004"
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -195,16 +195,10 @@ def tree_rollout(
                     if turned[i]:
                         for k in range(joints):
                             accelerated[k] = (v[k, i] - speed[k, i]) / step
-                        if some_ahead:
-                            rub_before(
-                                speed, load, moving, resting, inverse, own_ahead, bare, spared, rubbing, own_creeps,
-                                accelerated, step, sweeps, close, end, moved, hold, i,
-                            )  # fmt: skip
-                        else:
-                            rub_element(
-                                speed, load, moving, resting, inverse, rubbing, own_creeps, accelerated, step, sweeps,
-                                close, end, moved, hold, i,
-                            )  # fmt: skip
+                        rub_in_step(
+                            some_ahead, speed, load, moving, resting, inverse, own_ahead, bare, spared, rubbing,
+                            own_creeps, accelerated, step, sweeps, close, end, moved, hold, i,
+                        )  # fmt: skip
                         for r in range(len(rubbing)):
                             j = rubbing[r]
                             if slide[j, i] > 0.0:
@@ -223,16 +217,10 @@ def tree_rollout(
                         continue
                     for k in range(joints):
                         accelerated[k] = (v[k, i] - speed[k, i]) / step
-                    if some_ahead:
-                        rub_before(
-                            speed, load, moving, resting, inverse, own_ahead, bare, spared, rubbing, own_creeps,
-                            accelerated, step, sweeps, close, end, moved, hold, i,
-                        )  # fmt: skip
-                    else:
-                        rub_element(
-                            speed, load, moving, resting, inverse, rubbing, own_creeps, accelerated, step, sweeps,
-                            close, end, moved, hold, i,
-                        )  # fmt: skip
+                    rub_in_step(
+                        some_ahead, speed, load, moving, resting, inverse, own_ahead, bare, spared, rubbing,
+                        own_creeps, accelerated, step, sweeps, close, end, moved, hold, i,
+                    )  # fmt: skip
                     for k in range(joints):
                         if not is_rubbing[k]:
                             end[k, i] = speed[k, i] + step * accelerated[k]

@@ -12,7 +12,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepkoco.systems.creep import Creep
 from deepkoco.systems.drawn import Outline
 from deepkoco.systems.drives import AS_A_LOAD
 from deepkoco.systems.dry_friction import DryFriction, Levels
@@ -34,7 +33,7 @@ from deepkoco.systems.trees.base_tilt import tilt_parameters, turned_gravity
 from deepkoco.systems.trees.channels import command_channels, joint_channels, refuse_clashes
 from deepkoco.systems.trees.compile_tree import compile_tree
 from deepkoco.systems.trees.dynamics import inverse_mass, mass_matrix
-from deepkoco.systems.trees.engine import ahead, with_late_speeds
+from deepkoco.systems.trees.engine import ahead, creeping, with_late_speeds
 from deepkoco.systems.trees.equations import Numbers, Steadying, actuators_of_joints, equations_of_motion
 from deepkoco.systems.trees.fast import TreeArrays
 from deepkoco.systems.trees.geometry import geometry_parameters
@@ -254,16 +253,8 @@ class TreeSystem(System):
         if engine is None or engine.softness is None:
             return friction
         own = Numbers.of(self.tree, parameters)
-        at = [torch.tensor(joint.reference, dtype=torch.float64) for joint in self.tree.joints]
-        inverse = inverse_mass(own.joints, own.inertias, own.passive["armature"], at)
-        creeps = tuple(
-            Creep(soft.inertia / inverse[j][j], soft.rate) for j, soft in enumerate(engine.softness)
-        )
         added = ahead(engine, self.tree.actuators, self._steadying.least_inertias, own.passive, own.laws)
-        if all(not isinstance(x, Tensor) and x == 0.0 for x in added):
-            return replace(friction, creeps=creeps)
-        armatures = tuple(torch.as_tensor(x, dtype=torch.float64) for x in added)
-        return replace(friction, creeps=creeps, ahead=armatures)
+        return creeping(friction, engine.softness, own.joints, own.inertias, own.passive["armature"], added)
 
     engine = property(lambda self: None if self._steadying.engine is None else "MuJoCo")
 

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import math
-import re
 from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
 
-from deepkoco.logs.by_name import wanted_names
 from deepkoco.logs.inspect.choice import Choice, Proposal, with_one_scale
 from deepkoco.logs.inspect.evidence import POSITIONS, SPEEDS
+from deepkoco.logs.inspect.joints.by_own_name import command_by_name, speed_by_name
 from deepkoco.logs.inspect.joints.finding import JointFinding, from_ranges
 from deepkoco.logs.inspect.joints.goals import Tracking, track
 from deepkoco.logs.inspect.joints.gravity import JointEvidence
 from deepkoco.logs.inspect.joints.log_joints import (
-    GOALS,
     LogJoint,
     log_joints,
     loose_efforts,
@@ -41,7 +39,6 @@ from deepkoco.logs.units import parse_unit
 from deepkoco.systems import Channel, System
 
 GOAL_ZERO = 0.2  # difference of goal and position above which their zeros differ [rad or m]
-NAMED = 0.95  # probability that a column with the name of an actuator is its command
 LOOSE = 0.5  # probability that an effort without the name of a joint drives the next joint in the order
 LEAST = 3.0  # evidence of a proposal for each joint [nats], compared with other systems
 
@@ -71,10 +68,10 @@ def propose_joints(surveys: Sequence[Survey], system: System) -> Proposal:
     measured = with_one_scale(
         [_measurement(survey, system, c, by_number, findings) for c in system.measurements]
     )
-    measured = [_speed_alone(survey, choice, set(by_number), system) for choice in measured]
+    measured = [speed_by_name(survey, choice, set(by_number), system) for choice in measured]
     commanded = [_command(survey, system, k, by_number, findings) for k in range(len(system.commands))]
     shown = {c.column.label for c in measured if c.column is not None}
-    commanded = [_by_name(survey, choice, shown) for choice in commanded]
+    commanded = [command_by_name(survey, choice, shown) for choice in commanded]
     taken = {c.column.label for c in commanded if c.column is not None}
     loose = [column for column in loose_efforts(survey.columns, found) if column.label not in taken]
     choices = [*measured, *_with_loose_efforts(system, commanded, loose)]
@@ -252,31 +249,6 @@ def _measurement(
     return _chosen(channel, column, speed, finding, (finding.reason,), finding.sign * speed.scale, 0.0)
 
 
-def _speed_alone(survey: Survey, choice: Choice, placed: set[int], system: System) -> Choice:
-    """A speed without a column, with the one that is called as its joint: a gyro or a tachometer without a position.
-
-    Args:
-        survey: Of the log.
-        choice: For a measurement.
-        placed: Numbers of the joints of which the log shows the position.
-        system: The system.
-    """
-    name = choice.channel.name
-    joint = next((j for j, own in enumerate(system.joint_names) if name == f"dq_{own}"), None)
-    if choice.column is not None or joint is None or joint in placed:
-        return choice
-    label, quantity = role_in_name(system.joint_names[joint])[1], parse_unit(choice.channel.unit).quantity
-    found = []
-    for column in survey.columns:
-        unit = column.hints.unit
-        exact = unit is None and column.name.strip().lower() == name.lower()
-        if column.usable and (exact or (role_of(column) == ("speed", label) and unit is not None)):
-            unit = choice.channel.unit if unit is None else unit
-            if parse_unit(unit).quantity == quantity:
-                found.append(Choice(choice.channel, column, unit, True, NAMED, ("the same name",)))
-    return found[0] if len(found) == 1 else choice
-
-
 def _command(
     survey: Survey,
     system: System,
@@ -317,32 +289,6 @@ def _command(
     scale, offset = _frame(finding, scaling, direction)
     offset += finding.sign * shift / (scaling.factor / scaling.scale)
     return _chosen(channel, column, scaling, finding, reasons, scale, offset)
-
-
-def _by_name(survey: Survey, choice: Choice, shown: set[str]) -> Choice:
-    """A command without a column, with the one that has its name: that of the actuator, alone or behind `cmd_`.
-
-    Else the one of which all words but those for a goal are the actuator's: ``drive_cmd``, ``m_elbow_setpoint``.
-
-    Args:
-        survey: Of the log.
-        choice: For the command.
-        shown: Labels of the columns that are measurements.
-    """
-    if choice.column is not None:
-        return choice
-    names = {name.lower() for name in wanted_names(choice.channel.name, "command")}
-    free = [column for column in survey.columns if column.usable and column.label not in shown]
-    exact = [c for c in free if re.sub(r"\s*[\[(][^\[\]()]*[\])]\s*$", "", c.name).strip().lower() in names]
-    _, own = role_in_name(choice.channel.name)
-    asked = [c for c in free if role_of(c) in {(goal, own) for goal in GOALS.values()}]
-    if not exact and (not own or len(asked) != 1):
-        return choice
-    column = (exact or asked)[0]
-    unit = column.hints.unit
-    return Choice(
-        choice.channel, column, unit or choice.channel.unit, unit is not None, NAMED, ("the same name",)
-    )
 
 
 def _with_loose_efforts(

@@ -1,0 +1,65 @@
+"""Columns that are called as an actuator or a joint, where the joints of the log have none for a channel."""
+
+from __future__ import annotations
+
+import re
+
+from deepkoco.logs.by_name import wanted_names
+from deepkoco.logs.inspect.choice import Choice
+from deepkoco.logs.inspect.joints.log_joints import GOALS, role_in_name, role_of
+from deepkoco.logs.inspect.survey import Survey
+from deepkoco.logs.units import parse_unit
+from deepkoco.systems import System
+
+NAMED = 0.95  # probability that a column with the name of an actuator or a joint is its channel
+
+
+def command_by_name(survey: Survey, choice: Choice, shown: set[str]) -> Choice:
+    """A command without a column, with the one that has its name: that of the actuator, alone or behind `cmd_`.
+
+    Else the one of which all words but those for a goal are the actuator's: ``drive_cmd``, ``m_elbow_setpoint``.
+
+    Args:
+        survey: Of the log.
+        choice: For the command.
+        shown: Labels of the columns that are measurements.
+    """
+    if choice.column is not None:
+        return choice
+    names = {name.lower() for name in wanted_names(choice.channel.name, "command")}
+    free = [column for column in survey.columns if column.usable and column.label not in shown]
+    exact = [c for c in free if re.sub(r"\s*[\[(][^\[\]()]*[\])]\s*$", "", c.name).strip().lower() in names]
+    _, own = role_in_name(choice.channel.name)
+    asked = [c for c in free if role_of(c) in {(goal, own) for goal in GOALS.values()}]
+    if not exact and (not own or len(asked) != 1):
+        return choice
+    column = (exact or asked)[0]
+    unit = column.hints.unit
+    return Choice(
+        choice.channel, column, unit or choice.channel.unit, unit is not None, NAMED, ("the same name",)
+    )
+
+
+def speed_by_name(survey: Survey, choice: Choice, placed: set[int], system: System) -> Choice:
+    """A speed without a column, with the one that is called as its joint: a gyro or a tachometer without a position.
+
+    Args:
+        survey: Of the log.
+        choice: For a measurement.
+        placed: Numbers of the joints of which the log shows the position.
+        system: The system.
+    """
+    name = choice.channel.name
+    joint = next((j for j, own in enumerate(system.joint_names) if name == f"dq_{own}"), None)
+    if choice.column is not None or joint is None or joint in placed:
+        return choice
+    label, quantity = role_in_name(system.joint_names[joint])[1], parse_unit(choice.channel.unit).quantity
+    found = []
+    for column in survey.columns:
+        unit = column.hints.unit
+        exact = unit is None and column.name.strip().lower() == name.lower()
+        if column.usable and (exact or (role_of(column) == ("speed", label) and unit is not None)):
+            unit = choice.channel.unit if unit is None else unit
+            if parse_unit(unit).quantity == quantity:
+                found.append(Choice(choice.channel, column, unit, True, NAMED, ("the same name",)))
+    return found[0] if len(found) == 1 else choice
