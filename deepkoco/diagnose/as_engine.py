@@ -1,16 +1,20 @@
-"""Whether logs are of a machine, or of a simulation by the engine of its model file.
+"""Whether logs are of a machine, or of a simulation by the engine of its model file, and in which steps.
 
 A joint of a real robot sticks, and commands act when they arrive. In MuJoCo a joint under load creeps below its
 ``frictionloss``, and commands act half a step early: a good encoder shows both. There a log of a healthy simulated
 robot has a friction and a delay that no machine has, and which the catalogue would name. The logs decide: a simulation
-is that of the engine where a refit with it leaves less. A hidden cause, such as a delay of commands, may decide wrongly
-there; so the question is asked once more beside the causes that were found (:mod:`deepkoco.diagnose.the_other_way`).
+is that of the engine where a refit with it leaves less. Whoever made the logs may have taken other steps than those of
+the file. What the engine does early or late is a share of its step, so a parabola through three steps tells the step. A
+hidden cause, such as a delay of commands, may decide wrongly there; so the question is asked once more beside the
+causes that were found (:mod:`deepkoco.diagnose.the_other_way`).
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -27,8 +31,30 @@ MARGIN = 10.0
 # Noise variances that a simulation by the engine leaves of its own logs at most. A real robot that its file describes
 # badly leaves hundreds with either law, and which of two refits ends lower says nothing of friction.
 NEAR = 10.0
+FAR = 1000.0  # noise variances, from which the logs say nothing of steps either
+NOISE = 1.2  # noise variances that a simulation leaves of its own logs
+LONGEST = 4.0  # step that is looked for, over that of the file
+DIGITS = 2  # of a step that is found
 
 log = logging.getLogger(__name__)
+
+S = TypeVar("S", bound=System)
+
+
+class Left(NamedTuple):
+    """What a simulation leaves of logs.
+
+    Attributes:
+        cost: chi2 and squared distance from the prior.
+        per_sample: chi2 of one sample.
+    """
+
+    cost: float
+    per_sample: float
+
+    def less_than(self, other: Left) -> bool:
+        """Whether it leaves so much less than another that this counts."""
+        return other.cost - self.cost > MARGIN * max(self.per_sample, 1.0)
 
 
 def as_engine_if_shown(
@@ -42,24 +68,67 @@ def as_engine_if_shown(
         length: Of the windows [s].
         learned: Baseline from healthy logs, which have decided; None for none.
     """
-    simulated = system.with_engine()
-    if simulated is None:
+    if system.with_engine() is None:
         return system
     if learned is not None:
-        return system if learned.system.engine is None else simulated
+        of_learned = learned.system
+        own = None if of_learned.engine is None else system.with_engine(step=of_learned.engine_step)
+        return system if own is None else own
     windows = cut_windows(recordings, system, length, estimate_channels(recordings, system))
     windows = windows.take(moving(windows)) if len(windows) else windows
     if len(windows) == 0:
         return system
     windows = windows.take(np.unique(np.linspace(0, len(windows) - 1, SOME).astype(int)))
-    costs, left = [], 1.0
-    for law in (system, simulated):
+    values: dict[str, float] = {}
+
+    def left(law: System) -> Left:
         start = baseline_from(law, windows)
-        try:
-            fit = on_half_windows(start, windows, start.prior.names)
-        except DivergedError:
-            return system
-        costs.append(fit.cost)
-        left = fit.chi2 / max(windows.samples, 1)
-    log.debug("%s: costs %.1f as a machine, %.1f as in %s", system.name, *costs, simulated.engine)
-    return simulated if left <= NEAR and costs[0] - costs[1] > MARGIN * max(left, 1.0) else system
+        start = replace(start, values={**start.values, **values})
+        fit = on_half_windows(start, windows, start.prior.names)
+        values.update({name: fit.values[name] for name in start.prior.names})
+        return Left(fit.cost, fit.chi2 / max(windows.samples, 1))
+
+    try:
+        return closest(system, left)
+    except DivergedError:
+        return system
+
+
+def closest(machine: S, left: Callable[[S], Left]) -> S:
+    """Return the machine, or its simulation by the engine of its file in the steps that leave least of logs.
+
+    Args:
+        machine: Simulated as a machine; its file has an engine.
+        left: What a simulation leaves of the logs.
+
+    Raises:
+        DivergedError: A simulation diverges.
+    """
+    of_file = machine.with_engine()
+    assert of_file is not None
+    assert of_file.engine_step is not None
+    held, best, simulated = left(machine), left(of_file), of_file
+    log.debug("%s: %s as a machine, %s as in %s", machine.name, held, best, of_file.engine)
+    if NOISE < min(best.per_sample, held.per_sample) <= FAR:
+        step = of_file.engine_step
+        costs = {step: best.cost}
+        for share in (0.5, 0.0):
+            other = machine.with_engine(step=share * step)
+            assert other is not None
+            costs[share * step] = left(other).cost
+        told = _least(costs)
+        other = machine.with_engine(step=told)
+        assert other is not None
+        again = left(other)
+        log.debug("%s: %s in steps of %.3g s, costs %s", machine.name, again, told, costs)
+        if again.less_than(best):
+            simulated, best = other, again
+    return simulated if best.per_sample <= NEAR and best.less_than(held) else machine
+
+
+def _least(costs: Mapping[float, float]) -> float:
+    """Return the step at which a parabola through three costs is least."""
+    curvature, slope, _ = np.polyfit(list(costs), list(costs.values()), 2)
+    longest = LONGEST * max(costs)
+    best = -0.5 * slope / curvature if curvature > 0.0 else min(costs, key=lambda step: costs[step])
+    return float(f"{min(max(float(best), 0.0), longest):.{DIGITS}g}")

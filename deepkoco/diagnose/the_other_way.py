@@ -6,7 +6,7 @@ import logging
 from collections.abc import Sequence
 from dataclasses import replace
 
-from deepkoco.diagnose.as_engine import MARGIN, NEAR
+from deepkoco.diagnose.as_engine import Left, closest
 from deepkoco.diagnose.baseline import baseline_from, with_gauges_fixed
 from deepkoco.diagnose.evidence.priors import prior_with
 from deepkoco.diagnose.explanation import Explanation
@@ -32,21 +32,27 @@ def the_other_way(
     Returns:
         Both as they are, or for the other system.
     """
-    base = explanation.base
-    other = base.start.system.with_engine(base.start.system.engine is None)
-    if other is None or base.learned.healthy is not None or base.start.tempering > 1.0:
+    base, found = explanation.base, explanation.found
+    now = base.start.system
+    machine = now if now.engine is None else now.with_engine(False)
+    if machine is None or machine.with_engine() is None:
         return request, explanation
-    found = explanation.found
+    if base.learned.healthy is not None or base.start.tempering > 1.0:
+        return request, explanation
     if not found.accepted and found.final.chi2 <= base.start.most_noise(base.train) * base.train.samples:
         return request, explanation
-    if not request.limit.allows("a simulation as by the engine of the file") or not _fits_better(
-        other, explanation
-    ):
+    if not request.limit.allows("a simulation as by the engine of the file"):
+        return request, explanation
+    try:
+        other = _closer(machine, now, explanation)
+    except DivergedError:
+        return request, explanation
+    if other is None:
         return request, explanation
     request.progress(
         "again, " + ("as a machine" if other.engine is None else f"as {other.engine} simulates it")
     )
-    system = request.system.with_engine(other.engine is not None)
+    system = request.system.with_engine(other.engine is not None, other.engine_step)
     assert system is not None
     train = request.data.train
     try:
@@ -58,16 +64,28 @@ def the_other_way(
     return replace(request, system=system), again
 
 
-def _fits_better(other: ExtendedSystem, explanation: Explanation) -> bool:
-    """Whether another kind of simulation leaves less of the logs, with the same causes."""
+def _closer(machine: ExtendedSystem, now: ExtendedSystem, explanation: Explanation) -> ExtendedSystem | None:
+    """The kind of simulation that leaves least of the logs with the same causes; None for the present one.
+
+    Raises:
+        DivergedError: A simulation diverges.
+    """
     start, found = explanation.base.start, explanation.found
     fit, windows = found.final, found.acting.windows
     prior = prior_with(found.acting, start, found.accepted, fit.values)
     trial = Trial("engine", prior.names, prior, fit.values, fit.state, fit.nuisance)
-    same, again = (problem.fit([trial])[0] for problem in (found.acting, FitProblem(other, windows)))
-    if again.diverged or same.diverged:
-        return False
-    if other.engine is not None and again.chi2 > NEAR * windows.samples:
-        return False
-    log.debug("with causes: %.1f as it is, %.1f the other way", same.cost, again.cost)
-    return same.cost - again.cost > MARGIN * max(again.chi2 / max(windows.samples, 1), 1.0)
+    known: dict[tuple[str | None, float | None], Left] = {}
+
+    def left(law: ExtendedSystem) -> Left:
+        key = (law.engine, law.engine_step)
+        if key not in known:
+            same = found.acting if law is now else FitProblem(law, windows)
+            again = same.fit([trial])[0]
+            if again.diverged:
+                raise DivergedError("a simulation of another kind diverges")
+            known[key] = Left(again.cost, again.chi2 / max(windows.samples, 1))
+        return known[key]
+
+    other = closest(machine, left)
+    log.debug("with causes: %s", known)
+    return other if left(other).less_than(left(now)) else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -47,7 +48,7 @@ def save_model(path: str | Path, system: System, provenance: Mapping[str, Any] |
         "version": MODEL_VERSION,
         "system": base.name,
         **({} if origin is None else {"origin": stored_origin(origin, path.parent)}),
-        **({} if system.engine is None else {"engine": system.engine}),
+        **({} if system.engine is None else {"engine": system.engine, "engine_step": system.engine_step}),
         "effects": effects,
         # Fitted to data, without a mechanism behind it: for readers of the file.
         **({"learned": learned} if learned else {}),
@@ -76,7 +77,7 @@ def load_model(path: str | Path) -> ExtendedSystem:
     try:
         values = {name: float(entry["value"]) for name, entry in document["parameters"].items()}
         base = _base_of(document, path)
-        base = _in_engine(document.get("engine"), base)
+        base = _in_engine(document, base)
         if any(str(effect).split("(")[0] == ELASTIC.name for effect in document["effects"]):
             base = ElasticDrive(base)
         system = ExtendedSystem(base, tuple(document["effects"]), values)
@@ -88,13 +89,20 @@ def load_model(path: str | Path) -> ExtendedSystem:
     return system
 
 
-def _in_engine(name: str | None, base: System) -> System:
-    """The system as an engine simulates it; None: as a real machine moves.
+def _in_engine(document: dict[str, Any], base: System) -> System:
+    """The system as an engine simulates it; without one, as a real machine moves.
 
     Raises:
-        ValueError: The system's file is of no such engine.
+        ValueError: The system's file is of no such engine, or the step is none.
     """
-    found = base if name is None else base.with_engine()
+    name, step = document.get("engine"), document.get("engine_step")
+    if name is None:
+        return base
+    if step is not None and not (isinstance(step, float | int) and math.isfinite(step) and step >= 0.0):
+        raise ValueError(
+            f"engine_step: {step!r} is no time in s; leave this key out for the step of the file"
+        )
+    found = base.with_engine(step=None if step is None else float(step))
     if found is None or found.engine != name:
         raise ValueError(f'engine: {base.name} is simulated by no "{name}"; leave this key out')
     return found

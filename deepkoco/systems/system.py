@@ -6,6 +6,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Collection
 from functools import cached_property
+from typing import Self
 
 import torch
 from torch import Tensor
@@ -219,13 +220,19 @@ class System(SignalPath, NamedJoints, Drawn, metaclass=Declared):
         """Engine whose steps and friction it is simulated with along logs, ``"MuJoCo"``; None for a real machine."""
         return None
 
-    def with_engine(self, on: bool = True) -> System | None:
+    @property
+    def engine_step(self) -> float | None:
+        """Step of that engine [s]; None for a real machine."""
+        return None
+
+    def with_engine(self, on: bool = True, step: float | None = None) -> Self | None:
         """The system as the engine of its file simulates it; None if it is so already, or has no engine.
 
         Friction then creeps, see :mod:`deepkoco.systems.creep`, and commands act as early as in the engine's steps.
 
         Args:
             on: False for the machine of a system that is simulated so.
+            step: Of the engine [s]; None: that of the file.
         """
         return None
 

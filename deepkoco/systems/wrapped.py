@@ -178,8 +178,12 @@ class WrappedSystem(System):
     def engine(self) -> str | None:
         return self.base.engine
 
-    def with_engine(self, on: bool = True) -> Self | None:
-        base = self.base.with_engine(on)
+    @property
+    def engine_step(self) -> float | None:
+        return self.base.engine_step
+
+    def with_engine(self, on: bool = True, step: float | None = None) -> Self | None:
+        base = self.base.with_engine(on, step)
         if base is None:
             return None
         wrapped = copy(self)

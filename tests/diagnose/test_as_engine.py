@@ -33,8 +33,8 @@ def efforts(seconds=10.0):
     return t, 3.5 * np.sin(2.0 * np.pi * 0.4 * t) + 1.5 * np.sin(2.0 * np.pi * 0.97 * t)
 
 
-def recorded(t, effort, place, seed=0):
-    noise = NOISE * np.random.default_rng(seed).standard_normal(len(t))
+def recorded(t, effort, place, noise=NOISE, seed=0):
+    noise = noise * np.random.default_rng(seed).standard_normal(len(t))
     return Recording(
         {
             "push": Series(t, effort, "1", "command"),
@@ -43,8 +43,9 @@ def recorded(t, effort, place, seed=0):
     )
 
 
-def from_mujoco(damping=4.0, friction=3.0):
+def from_mujoco(damping=4.0, friction=3.0, step=0.001, noise=NOISE):
     model = mujoco.MjModel.from_xml_string(SLIDER.format(damping=damping, friction=friction))
+    model.opt.timestep = step
     data, place = mujoco.MjData(model), []
     t, effort = efforts()
     for u in effort:
@@ -52,7 +53,7 @@ def from_mujoco(damping=4.0, friction=3.0):
         for _ in range(round(H / model.opt.timestep)):
             data.ctrl[:] = u
             mujoco.mj_step(model, data)
-    return recorded(t, effort, np.array(place))
+    return recorded(t, effort, np.array(place), noise)
 
 
 def from_a_joint_that_sticks(system):
@@ -71,6 +72,13 @@ def test_logs_decide_between_friction_that_holds_and_friction_that_creeps(slider
     assert (
         as_engine_if_shown([from_a_joint_that_sticks(slider)], slider, window_length(slider)).engine is None
     )
+
+
+@pytest.mark.parametrize("step", [0.0002, 0.0025])
+def test_logs_tell_the_steps_of_the_engine_where_they_are_not_those_of_the_file(slider, step):
+    found = as_engine_if_shown([from_mujoco(step=step, noise=2e-6)], slider, window_length(slider))
+    assert found.engine == "MuJoCo"
+    assert found.engine_step == pytest.approx(step, abs=2e-4)
 
 
 def test_a_robot_without_dry_friction_and_with_exact_steps_is_a_machine(tmp_path):

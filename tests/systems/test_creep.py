@@ -14,6 +14,7 @@ from deepkoco.fit.simulate.torch_steps import StepsInput, in_torch
 from deepkoco.systems import ExtendedSystem, load_model, load_system, save_model
 from deepkoco.systems.creep import Creep, slide_and_creep
 from deepkoco.systems.dry_friction import rubbed, slide_and_rest
+from deepkoco.systems.model_yaml import ModelFileError
 from deepkoco.systems.rollout import RolloutInput
 from deepkoco.systems.stick_slip import Joints, StickSlip
 
@@ -194,8 +195,18 @@ def test_an_environment_creeps_as_a_simulation_along_a_log(head):
 
 def test_a_model_file_keeps_the_kind_of_friction(head, tmp_path):
     extended = ExtendedSystem(head, ("coulomb(pan)",), {"coulomb(pan).torque": 0.05})
-    for system, name in ((extended, "holds.yaml"), (extended.with_engine(), "creeps.yaml")):
+    as_file, fine = extended.with_engine(), extended.with_engine(step=1e-4)
+    for system, name in ((extended, "holds.yaml"), (as_file, "creeps.yaml"), (fine, "in_fine_steps.yaml")):
         save_model(tmp_path / name, system)
         read = load_model(tmp_path / name)
-        assert read.engine == system.engine
+        assert (read.engine, read.engine_step) == (system.engine, system.engine_step)
         assert read.parameter("coulomb(pan).torque").value == 0.05
+
+
+def test_a_model_file_with_a_step_that_is_no_time_is_refused(head, tmp_path):
+    save_model(tmp_path / "model.yaml", ExtendedSystem(head, (), {}).with_engine())
+    text = (tmp_path / "model.yaml").read_text()
+    assert "engine_step: 5.0e-05" in text
+    (tmp_path / "model.yaml").write_text(text.replace("engine_step: 5.0e-05", "engine_step: two"))
+    with pytest.raises(ModelFileError, match="engine_step"):
+        load_model(tmp_path / "model.yaml")

@@ -26,6 +26,7 @@ from deepkoco.systems.trees.stiffness import larger
 from deepkoco.systems.trees.tree import Actuator, Engine, Joint, Softness
 
 LARGEST_SHARE = 0.5  # of the inertia that a joint moves, which a damping below 0 may take off
+AS_ENGINE = "simulated as MuJoCo does it, not as a machine"
 LEAST_IMPEDANCE, MOST_IMPEDANCE = 1e-4, 0.9999  # mjMINIMP, mjMAXIMP
 
 
@@ -43,20 +44,43 @@ def engine_of(model: Model) -> Engine | None:
     # Steps that prevent slip make friction hold.
     own = None if model.opt.noslip_iterations > 0 else tuple(each for each in soft if each is not None)
     if model.opt.integrator == library.mjtIntegrator.mjINT_RK4:
-        return Engine(own)
+        return Engine(own, step)
     euler = model.opt.integrator == library.mjtIntegrator.mjINT_EULER
     explicit = euler and bool(model.opt.disableflags & library.mjtDisableBit.mjDSBL_EULERDAMP)
-    half, joints, drives = 0.5 * step, 0.0 if explicit else step, 0.0 if euler else step
-    late = None if own is None else tuple(_with_late_speed(each, half) for each in own)
     if model.opt.integrator == library.mjtIntegrator.mjINT_IMPLICIT:
-        return Engine(late, half, -half, half)  # all smooth loads are implicit
-    return Engine(late, half, half, half, joints, drives)
+        return Engine(own, step, 0.5, -0.5, 0.5)  # all smooth loads are implicit
+    return Engine(own, step, 0.5, 0.5, 0.5, 0.0 if explicit else 1.0, 0.0 if euler else 1.0)
+
+
+def softness_in(engine: Engine) -> tuple[Softness, ...] | None:
+    """How softly dry friction holds each joint in steps of the engine's length; None where it holds.
+
+    The constraint is D (v' + b (v - late v')), which semi-implicit steps find from the speed of half a step before.
+    """
+    if engine.softness is None:
+        return None
+    return tuple(_with_late_speed(_slowed(own, engine.step), engine.lead) for own in engine.softness)
+
+
+def _slowed(soft: Softness, step: float) -> Softness:
+    return (
+        soft
+        if soft.slowest * step == 0.0
+        else soft._replace(rate=min(soft.rate, 1.0 / (soft.slowest * step)))
+    )
 
 
 def _with_late_speed(soft: Softness, late: float) -> Softness:
-    """The constraint D (v' + b (v - late v')), which MuJoCo finds from the speed of half a step before."""
     kept = 1.0 - soft.rate * late
-    return soft if kept <= 0.0 else Softness(soft.inertia * kept, soft.rate / kept)
+    return soft if kept <= 0.0 else soft._replace(inertia=soft.inertia * kept, rate=soft.rate / kept)
+
+
+def said_of(engine: Engine | None) -> tuple[str, ...]:
+    """The note that a system is simulated so; nothing of a machine."""
+    if engine is None:
+        return ()
+    early = " and commands act half a step early" if engine.lead > 0.0 else ""
+    return (f"{AS_ENGINE}: in steps of {1e3 * engine.step:.3g} ms dry friction creeps{early}",)
 
 
 def ahead(
@@ -75,10 +99,10 @@ def ahead(
         passive: Damping of each joint.
         laws: Gain and bias of each actuator.
     """
-    added = [mul(engine.joints_ahead, damping) for damping in passive["damping"]]
+    added = [mul(engine.joints_ahead * engine.step, damping) for damping in passive["damping"]]
     for actuator, law in zip(actuators, laws, strict=True):
         j = actuator.joint
-        added[j] = add(added[j], mul(-engine.drives_ahead * actuator.gear**2, law.bias[2]))
+        added[j] = add(added[j], mul(-engine.drives_ahead * engine.step * actuator.gear**2, law.bias[2]))
     return [larger(own, -LARGEST_SHARE * most) for own, most in zip(added, least, strict=True)]
 
 
@@ -136,11 +160,12 @@ def friction_softness(model: Model, dof: int) -> Softness | None:
     time_constant, damping = (float(x) for x in model.dof_solref[dof])
     least, most = (min(max(float(x), LEAST_IMPEDANCE), MOST_IMPEDANCE) for x in model.dof_solimp[dof, :2])
     impedance = least if least != most and float(model.dof_solimp[dof, 2]) > 0.0 else 0.5 * (least + most)
+    slowest = 0.0
     if time_constant > 0.0:
         safe = not model.opt.disableflags & mujoco_library().mjtDisableBit.mjDSBL_REFSAFE
-        rate = 2.0 / (most * (max(time_constant, 2.0 * float(model.opt.timestep)) if safe else time_constant))
+        rate, slowest = 2.0 / (most * time_constant), most if safe else 0.0
     else:
         rate = -damping / most
     if not rate > 0.0:
         return None
-    return Softness(impedance / (1.0 - impedance), rate)
+    return Softness(impedance / (1.0 - impedance), rate, slowest)

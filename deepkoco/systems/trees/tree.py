@@ -143,10 +143,12 @@ class Softness(NamedTuple):
     Attributes:
         inertia: With which it resists an acceleration, over the inertia that the joint moves at its reference.
         rate: At which it stops a motion while it is below its level [1/s].
+        slowest: The rate is at most 1 over so many steps of the engine; 0 where no step limits it.
     """
 
     inertia: float
     rate: float
+    slowest: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -154,19 +156,27 @@ class Engine:
     """What a simulation of a tree by the engine of its file does, and a machine does not.
 
     Attributes:
-        softness: How softly dry friction holds each joint; None where it holds.
-        lead: Time before its step at which a command acts [s].
-        late: Time by which the speeds in all loads are late [s]; below 0: early.
-        shown_late: Time by which a speed that the engine shows is behind the position beside it [s].
-        joints_ahead, drives_ahead: Time by which the damping of joints, and of servos, is ahead of these speeds [s].
+        softness: How softly dry friction holds each joint with the shortest of steps; None where it holds.
+        step: Of the simulation [s].
+        steps_ahead: Steps before its time at which a command acts.
+        steps_late: Steps by which the speeds in all loads are late; below 0: early.
+        steps_behind: Steps by which a speed that the engine shows is behind the position beside it.
+        joints_ahead, drives_ahead: Steps by which the damping of joints, and of servos, is ahead of these speeds.
     """
 
     softness: tuple[Softness, ...] | None
-    lead: float = 0.0
-    late: float = 0.0
-    shown_late: float = 0.0
+    step: float
+    steps_ahead: float = 0.0
+    steps_late: float = 0.0
+    steps_behind: float = 0.0
     joints_ahead: float = 0.0
     drives_ahead: float = 0.0
+
+    lead = property(
+        lambda self: self.steps_ahead * self.step
+    )  # time before its step at which a command acts [s]
+    late = property(lambda self: self.steps_late * self.step)  # of the speeds in all loads [s]
+    shown_late = property(lambda self: self.steps_behind * self.step)  # of the speeds that it shows [s]
 
 
 @dataclass(frozen=True)

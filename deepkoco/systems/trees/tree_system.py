@@ -7,6 +7,7 @@ from copy import copy
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 import torch
@@ -33,7 +34,7 @@ from deepkoco.systems.trees.base_tilt import tilt_parameters, turned_gravity
 from deepkoco.systems.trees.channels import command_channels, joint_channels, refuse_clashes
 from deepkoco.systems.trees.compile_tree import compile_tree
 from deepkoco.systems.trees.dynamics import inverse_mass, mass_matrix
-from deepkoco.systems.trees.engine import ahead, creeping, with_late_speeds
+from deepkoco.systems.trees.engine import AS_ENGINE, ahead, creeping, said_of, softness_in, with_late_speeds
 from deepkoco.systems.trees.equations import Numbers, Steadying, actuators_of_joints, equations_of_motion
 from deepkoco.systems.trees.fast import TreeArrays
 from deepkoco.systems.trees.geometry import geometry_parameters
@@ -61,10 +62,6 @@ from deepkoco.systems.trees.settings import TreeSettings
 from deepkoco.systems.trees.stiffness import least_inertias, longest_step, refuse_redundant
 from deepkoco.systems.trees.tree import Tree, TreeError
 from deepkoco.systems.trees.visible import visible_parameters
-
-AS_ENGINE = (
-    "simulated as MuJoCo does it, not as a machine: dry friction creeps, and commands act half a step early"
-)
 
 
 class TreeSystem(System):
@@ -250,21 +247,26 @@ class TreeSystem(System):
 
     def dry_friction_levels(self, parameters: Parameters) -> DryFriction:
         friction, engine = super().dry_friction_levels(parameters), self._steadying.engine
-        if engine is None or engine.softness is None:
+        softness = None if engine is None else softness_in(engine)
+        if engine is None or softness is None:
             return friction
         own = Numbers.of(self.tree, parameters)
         added = ahead(engine, self.tree.actuators, self._steadying.least_inertias, own.passive, own.laws)
-        return creeping(friction, engine.softness, own.joints, own.inertias, own.passive["armature"], added)
+        return creeping(friction, softness, own.joints, own.inertias, own.passive["armature"], added)
 
     engine = property(lambda self: None if self._steadying.engine is None else "MuJoCo")
+    engine_step = property(
+        lambda self: None if self._steadying.engine is None else self._steadying.engine.step
+    )
 
-    def with_engine(self, on: bool = True) -> TreeSystem | None:
-        engine = self.tree.engine if on else None
-        if engine is self._steadying.engine:
+    def with_engine(self, on: bool = True, step: float | None = None) -> Self | None:
+        own = self.tree.engine if on else None
+        engine = own if own is None or step is None else replace(own, step=step)
+        if engine == self._steadying.engine:
             return None
         other = copy(self)
         other._steadying = self._steadying._replace(engine=engine)
-        other.notes = (*self.notes, AS_ENGINE) if on else tuple(n for n in self.notes if n != AS_ENGINE)
+        other.notes = (*(n for n in self.notes if not n.startswith(AS_ENGINE)), *said_of(engine))
         return other
 
     def accelerations(self, parameters: Parameters) -> Acceleration:
