@@ -28,6 +28,7 @@ from deepkoco.diagnose.residuals.whiteness import more_than_noise
 from deepkoco.fit.solve.lazy_batch import MANY
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 
+PLAUSIBLE = math.log(100.0)  # nats behind the best from which an explanation's causes are not tried again
 ROUGH = math.log(0.1 / 0.9)  # log prior odds that a data sheet is rough
 
 

@@ -11,7 +11,6 @@ its code: a loss imitates a delay, a friction or a bias that any unit has a litt
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -34,8 +33,8 @@ from deepkoco.diagnose.explanation import (
 )
 from deepkoco.diagnose.healthy import extended
 from deepkoco.diagnose.little_of_all import usual_sizes, with_little, with_little_of_all
-from deepkoco.diagnose.nothing_at_once import Weights, are_weighed, nothing_at_once, weights_before
-from deepkoco.diagnose.one_change import one_change
+from deepkoco.diagnose.nothing_at_once import PLAUSIBLE, Weights, are_weighed, nothing_at_once, weights_before
+from deepkoco.diagnose.one_cause import one_cause
 from deepkoco.diagnose.probability.answer import Answer
 from deepkoco.diagnose.probability.shadow import answer_of, log_prior_of_losses
 from deepkoco.diagnose.request import DiagnosisRequest
@@ -45,7 +44,6 @@ from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.systems import Parameter
 
 UNKNOWN = "unknown"
-PLAUSIBLE = math.log(100.0)  # nats behind the best from which an explanation's causes are not tried again
 SOME = 0.2  # of that standard deviation, from which a fit needs an effect
 FAR_ABOVE = 2.0  # chi2 per sample, in floors, of a fit that does not explain a log to its noise
 FEW = 3.0  # standard deviations of what any unit has of an effect, up to which a fit has a little of it
@@ -74,7 +72,7 @@ def explained(
         if nothing is not None:
             return _nothing(with_little_of_all(request, nothing, request.causes))
     explanation = weigh(request, explain(request, learned, unfitted, joined, at), more, weights)
-    return _with_one_change(request, explanation, more)
+    return _with_one_cause(request, explanation, more)
 
 
 def weigh(
@@ -128,17 +126,22 @@ def weigh(
     return _selected_again(request, explanation, plausible, more)
 
 
-def _with_one_change(request: DiagnosisRequest, explanation: Explanation, more: int) -> Explanation:
-    """Return the explanation by one changed parameter of a model file, where that is what a refit spread over many."""
+def _with_one_cause(request: DiagnosisRequest, explanation: Explanation, more: int) -> Explanation:
+    """Return the explanation by one cause of a unit of a model file, where that is what a refit spread over many."""
     base, found = explanation.base, explanation.found
     left = found.final.chi2 > base.start.most_noise(base.train) * base.train.samples
-    if found.accepted or found.lost is not None or left:
+    if (
+        found.accepted
+        or found.lost is not None
+        or left
+        or not request.limit.allows("one cause instead of many")
+    ):
         return explanation
-    single = one_change(base, base.reference)
-    if not single or not request.limit.allows("one changed parameter"):
+    single = one_cause(base, request.causes)
+    if not single:
         return explanation
-    request.progress(f"one changed parameter: {max(single, key=lambda n: single[n])}")
-    again = _selected_again(request, explanation, request.causes, more)
+    request.progress(f"one cause instead of many parameters: {max(single, key=lambda n: single[n])}")
+    again = _selected_again(request, explanation, [c for c in request.causes if c.name in single], more)
     return again if again.found.accepted else explanation
 
 

@@ -216,6 +216,14 @@ class System(SignalPath, NamedJoints, Drawn, metaclass=Declared):
         return DryFriction(limits, tuple(j for j, limit in enumerate(limits) if limit is not None))
 
     @property
+    def bodies(self) -> dict[str, dict[str, float]]:
+        """Bodies -> what grows with the mass of each in the same shape: names of parameters and values as given.
+
+        A name need not be one of :attr:`parameters`, where no motion shows it; the equations then know it all the same.
+        """
+        return {}
+
+    @property
     def engine(self) -> str | None:
         """Engine whose steps and friction it is simulated with along logs, ``"MuJoCo"``; None for a real machine."""
         return None

@@ -175,6 +175,10 @@ class WrappedSystem(System):
         return self.base.dry_friction_levels(parameters)
 
     @property
+    def bodies(self) -> dict[str, dict[str, float]]:
+        return self.base.bodies
+
+    @property
     def engine(self) -> str | None:
         return self.base.engine
 

@@ -18,7 +18,7 @@ from deepkoco.diagnose.causes.actuator import (
     UNIT_SLIP,
 )
 from deepkoco.diagnose.causes.asymmetric_friction import ASYMMETRIC_VISCOUS
-from deepkoco.diagnose.causes.body import FORCE, LENGTH, PAYLOAD, TILT
+from deepkoco.diagnose.causes.body import BODY_MASS, FORCE, LENGTH, PAYLOAD, TILT
 from deepkoco.diagnose.causes.cause import Cause, Hint, Motion, kind_of
 from deepkoco.diagnose.causes.choose import UnknownCauseError, causes_named, measured_channels, shown_causes
 from deepkoco.diagnose.causes.disturbance import COGGING, CONSTANT_LOAD, PERIODIC, SPRING
@@ -96,6 +96,7 @@ CAUSES: dict[str, Cause] = {
         COGGING,
         PERIODIC,
         PAYLOAD,
+        BODY_MASS,
         LENGTH,
         TILT,
         FORCE,

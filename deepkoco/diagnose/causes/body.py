@@ -23,6 +23,16 @@ PAYLOAD = Cause(
     also=("along",),
     also_summary="A point mass is fixed to a link; a wide interval of `along` says that it is the mass or its place.",
 )
+BODY_MASS = Cause(
+    "body_mass",
+    "body",
+    ("factor",),
+    "A body is heavier or lighter than the simulation assumes, in the same shape.",
+    "Weigh the body, with all that is fixed to it.",
+    "theta",
+    lambda motion: np.sin(motion.theta),
+    lambda hint: [{"factor": factor} for factor in (1.0, 0.7, 1.5)],
+)
 FORCE = Cause(
     "force",
     "body",

@@ -1,11 +1,11 @@
 """Starts of causes that change masses and their places, where a refit has moved the robot's own parameters instead.
 
-A load on a link moves the measurements as another mass, centre of mass and inertia of this link do. A log that tells
-much of their sums leaves a valley between both explanations that is as narrow as the log is exact, and it is curved:
-the motion depends on masses times distances. No slope at the refit leads far along it. But the motion is linear in
-these products, and so are the loads that it needs. The refit's information about the parameters is carried over to the
-loads along the log, and the cheapest point of the valley is found there, without a simulation: the cause with
-parameters near their priors.
+A load on a link moves the measurements as another mass, centre of mass and inertia of this link do, and a factor on a
+mass and its moments as these do themselves. A log that tells much of what they do together leaves a valley between both
+explanations that is as narrow as the log is exact, and it is curved: the motion depends on masses times distances. No
+slope at the refit leads far along it. But the motion is linear in these products, and so are the loads that it needs.
+The refit's information about the parameters is carried over to the loads along the log, and the cheapest point of the
+valley is found there, without a simulation: the cause with parameters near their priors.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def cheapest_in_valley(
         return []
     for cause in causes:
         placed = next((e for e in problem.system.effects if e.name == cause.effect), None)
-        if placed is None or placed.effect.place != "body" or cause.kind != "payload":
+        if placed is None or not (cause.kind == "payload" or placed.effect.multiplies):
             continue
         point = _Valley(problem, reference, prior, cause, placed, motion).cheapest()
         if point.promise > LEAST:
@@ -109,7 +109,7 @@ class _Valley:
         x, cost = self.here / self.spread, np.inf
         for k, name in enumerate(self.names):
             if name in self.cause.free:
-                x[k] += FIRST if name.endswith(".mass") else BEYOND
+                x[k] += BEYOND if name.endswith(".along") else FIRST
         for share in SHARES:
             found = least_squares(
                 lambda x, share=share: self._left(x[None], share)[0],

@@ -15,6 +15,7 @@ from deepkoco.systems.effects.actuator import (
 )
 from deepkoco.systems.effects.asymmetric_friction import ASYMMETRIC_VISCOUS
 from deepkoco.systems.effects.body import FORCE, LENGTH, PAYLOAD, TILT
+from deepkoco.systems.effects.body_mass import BODY_MASS
 from deepkoco.systems.effects.disturbance import COGGING, CONSTANT_LOAD, PERIODIC, SPRING
 from deepkoco.systems.effects.drive_strength import DRIVE_STRENGTH
 from deepkoco.systems.effects.effect import Effect, PlacedEffect, SensorSite, place
@@ -84,6 +85,7 @@ EFFECTS: dict[str, Effect] = {
         PERIODIC,
         LEARNED,
         PAYLOAD,
+        BODY_MASS,
         LENGTH,
         TILT,
         FORCE,

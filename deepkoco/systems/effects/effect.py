@@ -15,7 +15,7 @@ from deepkoco.systems.parameter import Parameter, Parameters
 from deepkoco.systems.system import System
 
 Place = Literal["command", "series", "timing", "load", "memory", "body", "elastic", "sensor", "noise"]
-Site = Literal["system", "joint", "command", "channel", "kind", "place", "force place", "pair"]
+Site = Literal["system", "joint", "command", "channel", "kind", "body", "place", "force place", "pair"]
 
 ALL = -1  # index of an effect that acts on all driving commands alike
 
@@ -71,9 +71,10 @@ class Effect:
             the effect makes no sense there.
         summary: One sentence for reports.
         apply: The physics.
-        site: What the effect belongs to: there is one for each joint, command, channel, kind of parameters, place of
-            a payload (the tip first), place of an outside force, or pair of coupled joints, or one in all. A load of
-            a pair acts on the second joint and is shown the state of the second joint with the effort of the first.
+        site: What the effect belongs to: there is one for each joint, command, channel, kind of parameters, body with
+            a mass, place of a payload (the tip first), place of an outside force, or pair of coupled joints, or one
+            in all. A load of a pair acts on the second joint and is shown the state of the second joint with the
+            effort of the first.
         shared: Whether there is one more, ``<name>(all)``, that acts on all driving commands alike.
         acting: ``(p) -> p``: its own parameters without those that change nothing at their present values. It is asked
             once before many calls of ``apply``.
@@ -81,6 +82,7 @@ class Effect:
             at which it holds a joint at rest. ``apply`` is then the load of this size against a smoothed direction.
         steady: Whether ``level`` depends on the parameters alone.
         memory: Of an effect with a memory, how its value begins and changes.
+        multiplies: Whether its only parameter is a factor on parameters of the system.
     """
 
     name: str
@@ -95,6 +97,7 @@ class Effect:
     steady: bool = False
     memory: Memory | None = None
     shared: bool = False
+    multiplies: bool = False
 
     @property
     def dry(self) -> bool:
@@ -164,6 +167,8 @@ def place(effect: Effect, system: System) -> tuple[PlacedEffect, ...]:
         names = [f"{effect.name}({site})" for site in system.force_sites]
     elif effect.site == "kind":
         names = [f"{effect.name}({kind})" for kind in parameter_kinds(system)]
+    elif effect.site == "body":
+        names = [f"{effect.name}({body})" for body in system.bodies]
     elif effect.site == "channel":
         names = [f"{effect.name}({c.name})" for c in system.measurements]
     else:

@@ -24,4 +24,5 @@ SCALED = Effect(
     "all parameters of a kind differ by one factor",
     _apply_scaled,
     "kind",
+    multiplies=True,
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -78,6 +78,22 @@ def declared_parameters(tree: Tree, moved: Sequence[float]) -> tuple[Parameter, 
     for actuator in tree.actuators:
         found += _by_kind(_of_actuator(actuator, tree.joints[actuator.joint]))
     return tuple(found)
+
+
+def grows_with_mass(tree: Tree, visible: Collection[str]) -> dict[str, dict[str, float]]:
+    """Bodies -> names and values of the mass and the moments of inertia, where a motion shows more than one of them.
+
+    Args:
+        tree: The tree.
+        visible: Names of the parameters that a motion shows.
+    """
+    found = {}
+    for body in tree.bodies:
+        moments = {f"inertia_{axis}({body.name})": x for axis, x in zip(AXES, body.moments, strict=True)}
+        own = {f"mass({body.name})": body.mass, **moments}
+        if body.mass > 0.0 and len(own.keys() & set(visible)) > 1:
+            found[body.name] = own
+    return found
 
 
 def is_servo(actuator: Actuator) -> bool:

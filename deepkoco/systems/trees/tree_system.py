@@ -47,6 +47,7 @@ from deepkoco.systems.trees.parameters import (
     control_delay,
     declared_parameters,
     drive_parameters,
+    grows_with_mass,
     joint_value,
     payload_name,
     payload_place_name,
@@ -120,6 +121,7 @@ class TreeSystem(System):
         self._arrays = TreeArrays(tree)
         declared = visible_parameters(self, tree, declared_parameters(tree, least))
         self.parameters = settings.parameters(declared, geometry_parameters(tree))
+        self._grows_with_mass = grows_with_mass(tree, [p.name for p in self.parameters])
 
     @classmethod
     def from_file(cls, path: str | Path) -> TreeSystem:
@@ -147,6 +149,7 @@ class TreeSystem(System):
         return cls(replace(tree, notes=(*notes, *tree.notes), engine=engine), str(path), settings)
 
     commands = property(lambda self: self._commands)
+    bodies = property(lambda self: self._grows_with_mass)
 
     def way_to_hold(self, channels: Collection[str]) -> str:
         unseen = self.unseen_joints(channels)
@@ -162,17 +165,9 @@ class TreeSystem(System):
     actuator_joints = property(lambda self: tuple(a.joint for a in self.tree.actuators))
     joint_names = property(lambda self: self._names)
 
-    @property
-    def load_scale(self) -> float:
-        return max(self._load_scales)
-
-    @property
-    def load_scales(self) -> tuple[float, ...]:
-        return self._load_scales
-
-    @property
-    def longest_step(self) -> float:
-        return self._longest_step
+    load_scale = property(lambda self: max(self._load_scales))
+    load_scales = property(lambda self: self._load_scales)
+    longest_step = property(lambda self: self._longest_step)
 
     @property
     def delivered_scales(self) -> tuple[tuple[float, str], ...]:

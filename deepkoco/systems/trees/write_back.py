@@ -10,6 +10,7 @@ from typing import Any
 
 import torch
 
+from deepkoco.systems.effects.body_mass import BODY_MASS
 from deepkoco.systems.effects.drive_strength import DRIVE_STRENGTH
 from deepkoco.systems.effects.effect import ALL, parameter_kinds
 from deepkoco.systems.effects.scaled import SCALED
@@ -145,6 +146,9 @@ def _values(system: System) -> Values:
         for kind, names in parameter_kinds(system.base).items():
             factor = values.get(f"{SCALED.name}({kind}).factor", 1.0)
             values |= {n: factor * values[n] for n in names}
+        for body, own in system.base.bodies.items():
+            factor = values.get(f"{BODY_MASS.name}({body}).factor", 1.0)
+            values |= {n: factor * values.get(n, value) for n, value in own.items()}
     return values
 
 
@@ -202,6 +206,7 @@ class _Writer:
             "actuation_delay": self._delayed,
             "tilt": lambda n, j, p: None,
             SCALED.name: lambda n, j, p: None,
+            BODY_MASS.name: lambda n, j, p: None,
             DRIVE_STRENGTH.name: lambda n, j, p: None,
         }
         if kind in writers:

@@ -185,6 +185,7 @@ def dose(kind: str, declared: Mapping[str, Any], system: System) -> dict[str, fl
         "unit_slip": {"factor": 0.7},
         "channel_slip": {"factor": 1.1},
         "scaled": {"factor": 1.5},
+        "body_mass": {"factor": 1.5},
         "sensor_scale": {"factor": 1.1},
         "channel_scale": {"factor": 1.1},
         "gain_curve": {"curvature": 2.0 * declared["curvature"].prior_sd} if "curvature" in declared else {},

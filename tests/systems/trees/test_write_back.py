@@ -87,6 +87,7 @@ EXPRESSED = {
     "delay of all": (("actuation_delay(all)",), {"actuation_delay(all).delay": 0.0345}),
     "payload at a place": (("payload(upper)",), {"payload(upper).mass": 0.4}),
     "payload along a link": (("payload(upper)",), {"payload(upper).mass": 0.4, "payload(upper).along": 0.28}),
+    "mass of a body": (("body_mass(upper)",), {"body_mass(upper).factor": 1.6}),
     "factor of all": (("scaled(damping)",), {"scaled(damping).factor": 2.0}),
 }
 

@@ -1,0 +1,66 @@
+"""One cause that explains what a refit spread over many parameters.
+
+The prior of a model file is a guess: it allows a drive's gain to be 20 % off, a centre of mass a tenth of the body and
+a friction half. A refit under it explains a motor of 0.7 of its gain, a part in the gripper or a heavier link by these
+parameters, and then nothing is left for a cause. Whether the file is rough in many of its values, or right but for one
+thing, is a question of weights: the log evidence of one cause beside parameters as units of one make have them, of
+those parameters alone, and of parameters that are as far off as their guesses allow. All three follow from one
+linearisation at the refit, which leaves only noise.
+
+Source: Kass, Raftery, Bayes factors (1995), the Laplace approximation.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from deepkoco.diagnose.causes import Cause
+from deepkoco.diagnose.data_sheet import guessed, with_usual_spread
+from deepkoco.diagnose.evidence.priors import strained
+from deepkoco.diagnose.nothing_at_once import PLAUSIBLE, ROUGH
+from deepkoco.diagnose.probability.shadow import linearised
+from deepkoco.diagnose.refitted import Refitted
+from deepkoco.fit.solve.scaled_inverse import DivergedError
+
+ODDS = math.log(
+    10.0
+)  # log odds against a rough file and against no cause, from which one cause explains a log
+
+
+def one_cause(base: Refitted, causes: Sequence[Cause]) -> dict[str, float]:
+    """Return how well each cause alone explains what a refit explains, where better than a rough file does.
+
+    Args:
+        base: The refitted baseline.
+        causes: The catalogue.
+
+    Returns:
+        Names of the best cause and of those that are nearly as probable -> log odds [nats] against a rough file and
+        against units of one make. Empty where nobody guessed a prior, healthy logs say what the unit is, the refit is
+        one of a usual unit, or no single cause is enough.
+    """
+    start, reference = base.start, base.reference
+    if base.learned.healthy is not None or start.tempering > 1.0 or not guessed(start):
+        return {}
+    usual = with_usual_spread(start)
+    if not strained(base.problem, usual, reference):
+        return {}
+    try:
+        rough = linearised(base.problem, reference, start, causes, None, alone=True)
+        point = linearised(base.problem, reference, usual, causes, None)
+    except (DivergedError, np.linalg.LinAlgError):
+        return {}
+    told = [s for s in point.scored if not s.explanation.unknown]
+    nothing = [s.log_weight for s in told if not s.explanation.causes]
+    most = max(s.log_weight for s in rough.scored if not s.explanation.unknown)
+    rivals = max(*nothing, most + ROUGH) + ODDS
+    found: dict[str, float] = {}
+    for scored in told:
+        if len(scored.explanation.causes) == 1:
+            (name,) = scored.explanation.causes
+            found[name] = max(scored.log_weight - rivals, found.get(name, -math.inf))
+    best = max(found.values(), default=0.0)
+    return {name: odds for name, odds in found.items() if odds > best - PLAUSIBLE} if best > 0.0 else {}
