@@ -20,7 +20,8 @@ def with_counts_of_speed(system: System, proposal: Proposal, samples: Mapping[st
     """Give positions in whole numbers the usual number of counts per turn that their speed shows.
 
     The counts change by n / (2 pi) times the integral of the speed in rad/s, whatever the robot. Only a speed whose
-    unit is stated tells n. A number that no usual encoder has stays open, because a gear may be between the two sensors.
+    unit is stated tells n. A number that no usual encoder has stays open, because a gear may be between the two
+    sensors.
 
     Args:
         system: The system, with measurements that show states.
