@@ -282,3 +282,55 @@ def test_of_pairs_that_explain_a_log_alike_the_likely_one_is_named(with_push):
     names = [moved.name for moved in moved_parameters(problem, start, found)]
     assert "inertia" in names
     assert "resistance" not in names
+
+
+class Carriage(System):
+    """A carriage of 3.2 kg behind a motor; only viscous friction / mass and force / mass show in its motion."""
+
+    joint_names, joint_units = ("carriage",), ("m",)
+    parameters = (
+        Parameter("mass", 3.2, "kg", 0.5, 20.0, 0.1, "m"),
+        Parameter("force_constant", 24.0, "N/A", 2.0, 200.0, 0.72, "k"),
+        Parameter("viscous", 8.0, "N s/m", 0.0, 100.0, 0.8, "b"),
+    )
+    commands = (Channel("current", "A", "command", -5.0, 5.0),)
+    measurements = (Channel("x", "m", "measurement", noise_sd=1e-4),)
+
+    def accelerations(self, p):
+        def law(motion):
+            force = p["force_constant"] * motion.efforts[0] - p["viscous"] * motion.speeds[0] + motion.load(0)
+            return (force / p["mass"],)
+
+        return law
+
+
+def test_the_interval_of_a_new_value_counts_what_is_not_known_of_the_others():
+    """Mass and force constant are 3 % below their values: the motion is that of 3.2 kg with a friction 3 % higher."""
+    mass, force, viscous, step = 3.2 * 0.97, 24.0 * 0.97, 14.4, 0.01
+    rng = np.random.default_rng(0)
+    current = np.repeat(rng.uniform(-1.0, 1.0, 75), 20)
+    decay = math.exp(-viscous / mass * step)
+    x = v = 0.0
+    shown = []
+    for i in current:  # exact between two samples, because the command holds
+        shown.append(x)
+        steady = force * i / viscous
+        x += steady * step + (v - steady) * (1.0 - decay) * mass / viscous
+        v = steady + (v - steady) * decay
+    t = np.arange(len(current)) * step
+    measured = np.array(shown) + rng.normal(0.0, 1e-4, len(t))
+    log = Recording(
+        {
+            "current": Series(t, current, "A", "command"),
+            "x": Series(t, measured, "m", "measurement"),
+        }
+    )
+    start, problem, found = refitted(log, Carriage())
+    (moved,) = moved_parameters(problem, start, found)
+    assert moved.name == "viscous"
+    assert moved.estimate.value == pytest.approx(viscous / 0.97, rel=5e-3)
+    assert moved.estimate.low < viscous < moved.estimate.high
+    # The log ties mass and force constant, each known to about 3 %, to one scale: 3 % / sqrt(2) of it stays open.
+    assert moved.estimate.high - moved.estimate.low == pytest.approx(
+        2 * 1.96 * viscous * 0.0305 / math.sqrt(2), rel=0.15
+    )

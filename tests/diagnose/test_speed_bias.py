@@ -7,9 +7,8 @@ from scipy.integrate import solve_ivp
 
 from deepkoco import Channel, Parameter, System
 from deepkoco.diagnose import diagnose
-from deepkoco.diagnose.causes import catalogue
+from deepkoco.diagnose.causes import catalogue, shown_causes
 from deepkoco.logs.recording import Recording, Series
-from deepkoco.systems import make_system
 
 RATE, SECONDS = 100, 24
 WEIGHT, DAMPING = 29.0, 0.8  # over the inertia [1/s^2, 1/s]
@@ -35,7 +34,7 @@ class Swing(System):
         return law
 
 
-def log_of(bias):
+def log_of(bias, encoder=False):
     rng = np.random.default_rng(20004)
     t = np.arange(RATE * SECONDS) / RATE
     u = np.repeat(rng.uniform(-15.0, 15.0, len(t)), rng.integers(20, 90, len(t)))[: len(t)]
@@ -50,17 +49,44 @@ def log_of(bias):
         )
         states.append(found.y[:, -1])
     gyro = np.array(states)[:, 1] + bias + 0.006 * rng.standard_normal(len(t))
+    angle = np.array(states)[:, 0] + 0.002 * np.random.default_rng(7).standard_normal(len(t))
+    beside = {"angle": Series(t, angle, "rad", "measurement")} if encoder else {}
     return Recording(
-        {"drive": Series(t, u, "1/s^2", "command"), "gyro": Series(t, gyro, "rad/s", "measurement")}
+        {
+            "drive": Series(t, u, "1/s^2", "command"),
+            "gyro": Series(t, gyro, "rad/s", "measurement"),
+            **beside,
+        }
     )
 
 
 def test_the_zero_of_a_gyro_is_named_with_its_size():
     result = diagnose([log_of(0.05)], Swing(), only=["speed_bias", "torque_bias", "coulomb", "sensor_scale"])
-    assert [cause.name for cause in result.causes] == ["speed_bias"]
-    assert result.causes[0].parameters["speed_bias.speed"].value == pytest.approx(0.05, abs=0.003)
+    assert [cause.name for cause in result.causes] == ["speed_bias(gyro)"]
+    assert result.causes[0].parameters["speed_bias(gyro).speed"].value == pytest.approx(0.05, abs=0.003)
 
 
-def test_a_speed_beside_its_position_has_no_zero_of_its_own():
-    assert "speed_bias" in catalogue(Swing())
-    assert "speed_bias" not in catalogue(make_system("rod_pendulum"))
+class BesideAnEncoder(Swing):
+    """The same weight with an encoder."""
+
+    measured_states = (0, 1)
+    measurements = (
+        Channel("angle", "rad", "measurement", noise_sd=0.002),
+        Channel("gyro", "rad/s", "measurement", noise_sd=0.006),
+    )
+
+
+@pytest.mark.parametrize("bias", [0.0, 0.05])
+def test_the_zero_of_a_gyro_beside_an_encoder_is_named_where_it_is_off(bias):
+    only = ["speed_bias", "torque_bias", "coulomb", "sensor_bias", "channel_scale"]
+    assert [
+        cause.name for cause in diagnose([log_of(bias, encoder=True)], BesideAnEncoder(), only=only).causes
+    ] == (["speed_bias(gyro)"] if bias else [])
+
+
+def test_only_a_measured_speed_has_such_a_zero():
+    assert "speed_bias(gyro)" in catalogue(Swing())
+    known = catalogue(BesideAnEncoder())
+    assert "speed_bias(angle)" not in known
+    assert "speed_bias(gyro)" in [cause.name for cause in shown_causes(known, ["angle", "gyro"])]
+    assert "speed_bias(gyro)" not in [cause.name for cause in shown_causes(known, ["angle"])]

@@ -158,3 +158,44 @@ def test_ticks_around_their_middle_are_told_by_the_limits_where_the_description_
         assert choice.scale == pytest.approx(2 * np.pi / 4096)
         assert choice.offset == pytest.approx(-np.pi)
         assert any("beyond their limits" in reason for reason in choice.reasons)
+
+
+class Flywheel(System):
+    """A wheel whose encoder and tachometer are logged."""
+
+    parameters = (Parameter("inertia", 1.0, "kg m2", 0.1, 10.0, 0.1, "J"),)
+    joint_units, joint_names = ("rad",), ("wheel",)
+    commands = (Channel("torque", "N m", "command", -1.0, 1.0),)
+    measurements = (
+        Channel("angle", "rad", "measurement", noise_sd=1e-3),
+        Channel("speed", "rad/s", "measurement", noise_sd=1e-2),
+    )
+
+    def accelerations(self, p):
+        return lambda m: ((m.efforts[0] + m.load(0)) / p["inertia"],)
+
+
+@pytest.mark.parametrize(("turn", "told"), [(2000, 2000), (2048, 2048), (2300, None)])
+def test_a_speed_with_its_unit_tells_how_many_counts_are_a_turn(tmp_path, turn, told):
+    """2300 counts are of no usual encoder: a gear may be between the sensors, so that stays for the user to write."""
+    torque = np.repeat(np.random.default_rng(0).uniform(-1.0, 1.0, len(T) // 40), 40)
+    speed = np.cumsum(60.0 * torque) * 0.01  # 60 times what the description says: no equation is asked
+    angle = np.cumsum(speed) * 0.01
+    frame = {
+        "t": T,
+        "enc_counts": np.floor(angle / (2 * np.pi) * turn),
+        "speed_rpm": np.round(speed * 30 / np.pi),
+        "torque_Nm": torque,
+    }
+    pd.DataFrame(frame).to_csv(tmp_path / "log.csv", index=False)
+    survey = survey_log(open_log(tmp_path / "log.csv"))
+    proposal = propose(survey, Flywheel()).proposal
+    shaft = next(c for c in proposal.choices if c.channel.name == "angle")
+    doubts = [doubt for doubt in doubts_of(survey, proposal) if "enc_counts" in doubt]
+    if told is None:
+        assert shaft.scale == 1.0
+        assert any("not by 1" in doubt for doubt in doubts)
+    else:
+        assert shaft.scale == pytest.approx(2 * np.pi / told)
+        assert not any("not by 1" in doubt for doubt in doubts)
+        assert any(f"shows {told} of them" in doubt for doubt in doubts)

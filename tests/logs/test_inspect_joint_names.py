@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from deepkoco.logs.formats import open_log
 from deepkoco.logs.inspect import doubts_of, propose, survey_log
-from deepkoco.logs.inspect.joints.log_joints import log_joints
+from deepkoco.logs.inspect.joints.log_joints import log_joints, role_in_name
 from deepkoco.logs.inspect.joints.match import match_joints
 from deepkoco.systems import load_system
 from tests.logs.test_inspect_joints import Arm
@@ -300,3 +300,20 @@ def test_a_joint_may_have_a_speed_alone(tmp_path, name):
     assert choices["dq_second"].unit == ("rpm" if "rpm" in name else "rad/s")
     assert choices["q_second"].column is None
     assert choices["dq_first"].column is None
+
+
+@pytest.mark.parametrize(
+    ("name", "role", "label"),
+    [
+        ("pan_current_cmd_mA", "goal effort", "pan"),
+        ("pan_current_A", "effort", "pan"),
+        ("current_A", "effort", "a"),  # of a joint A: no other word says a joint
+        ("pos_A", "position", "a"),
+        ("wrist_pos_s", "position", "wrist_s"),  # no position is in seconds
+        ("elbow_torque_mNm", "effort", "elbow"),
+        ("lift_vel_mm_s", "speed", "lift"),
+        ("shoulder_pos_deg", "position", "shoulder"),
+    ],
+)
+def test_the_unit_at_the_end_of_a_name_is_no_part_of_the_joint(name, role, label):
+    assert role_in_name(name) == (role, label)

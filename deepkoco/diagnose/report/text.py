@@ -68,8 +68,14 @@ def _once_refitted(diagnosis: Diagnosis) -> str:
     given = "as learned from healthy logs" if diagnosis.data.get("healthy") else "as given"
     return (
         f" once its own parameters are refitted: {given}, its held-out error of {most.name} is "
-        f"{most.baseline / most.refit:.2g} times as large"
+        f"{_times(most.baseline / most.refit)} as large"
     )
+
+
+def _times(ratio: float) -> str:
+    """Return a ratio with two digits in words that nobody has to decode: 150 times, not 1.5e+02."""
+    two = float(f"{ratio:.2g}")
+    return f"{two:,.0f} times" if two >= 10.0 else f"{two:.2g} times"
 
 
 def nearest_of(family: Mapping[str, Any]) -> str:

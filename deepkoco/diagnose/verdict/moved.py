@@ -62,7 +62,7 @@ def moved_parameters(problem: FitProblem, start: Baseline, refit: Fit) -> tuple[
     if best is None:
         return _far(problem, start, refit, sd, deflation)
     chosen = list(best.free)
-    found = estimates(problem, best, chosen, deflation)
+    found = estimates(problem, best, chosen, deflation, _of_others(problem, refit, chosen, deflation))
     change = {n: best.values[n] - start.values[n] for n in chosen}
     if max(abs(change[n]) / sd[n] for n in chosen) < FAR:
         return ()
@@ -98,6 +98,37 @@ def _far(
     fit = min(fits, key=lambda fit: fit.cost, default=refit)
     found = estimates(problem, fit, certain, deflation)
     return tuple(_moved(problem, start, fit, n, found[n], sd) for n in certain)
+
+
+def _of_others(problem: FitProblem, refit: Fit, chosen: Sequence[str], deflation: float) -> dict[str, float]:
+    """Return by how much the other parameters add to the variance of each chosen one.
+
+    They keep their values given in the fit of the chosen ones, and a machine differs from these as far as they are
+    declared and the log allows. A friction of which only the ratio to a mass shows is known no better than the mass.
+
+    With the information I of the log, the chosen ones C and the others O, a difference d of the others moves the
+    chosen ones by -K d, with K = I_CC^-1 I_CO. The covariance of d is that of the others beside free chosen ones,
+    (S / deflation + P)^-1, with S = I_OO - I_OC K and the precision P that is declared.
+
+    Args:
+        problem: Training windows.
+        refit: Refit of all parameters, with the information of the log.
+        chosen: Parameters that were fitted alone.
+        deflation: Deflation of the residuals.
+    """
+    spread = {p.name: p.prior_sd for p in declared(problem, refit.free)}
+    own = [refit.free.index(n) for n in chosen]
+    others = [i for i, n in enumerate(refit.free) if n not in chosen and spread[n] > 0.0]
+    if not others:
+        return {}
+    # In units of what is declared, so that nothing is lost between kilograms and radians.
+    size = np.array([spread[n] or 1.0 for n in refit.free])
+    known = refit.information * np.outer(size, size)
+    follows = np.linalg.solve(known[np.ix_(own, own)] + LOOSE * np.eye(len(own)), known[np.ix_(own, others)])
+    seen = known[np.ix_(others, others)] - known[np.ix_(others, own)] @ follows
+    differ = np.linalg.inv(seen / deflation + np.eye(len(others)))
+    added = np.einsum("ck,kl,cl->c", follows, differ, follows) * size[own] ** 2
+    return dict(zip(chosen, added.tolist(), strict=True))
 
 
 def _fewest(

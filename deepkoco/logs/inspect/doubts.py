@@ -218,8 +218,8 @@ def _derivatives(survey: Survey, proposal: Proposal) -> list[str]:
             clock = survey.clock(first.column)
             if relation is None or relation.agreement < AGREES or clock is None:
                 continue
-            ratio = relation.ratio * factor_between(first.unit, first.channel.unit)
-            ratio /= factor_between(second.unit, second.channel.unit)
+            ratio = relation.ratio * first.scale * factor_between(first.unit, first.channel.unit)
+            ratio /= second.scale * factor_between(second.unit, second.channel.unit)
             if parse_unit(proposal.time).quantity == "time" and clock.unit in ("s", "ms", "us", "ns"):
                 ratio /= factor_between(proposal.time, "s") / factor_between(clock.unit, "s")
             if ratio != 0 and abs(math.log(abs(ratio))) < OFF and ratio > 0:

@@ -7,6 +7,7 @@ from contextlib import suppress
 from typing import NamedTuple
 
 from deepkoco.logs.inspect.choice import Proposal
+from deepkoco.logs.inspect.counts_of_speed import with_counts_of_speed
 from deepkoco.logs.inspect.evidence import samples_of
 from deepkoco.logs.inspect.joints import has_named_joints, propose_joints
 from deepkoco.logs.inspect.left_over import with_what_is_left
@@ -65,7 +66,8 @@ def propose(survey: Survey, system: str | System | None = None, others: Sequence
         if system is not None:
             # The log of a system that the user names holds most of its channels, and follows its equations. Known
             # systems compete by the evidence of the log alone.
-            proposal = with_likely_units(found, with_what_is_left(survey, proposal), samples)
+            proposal = with_counts_of_speed(found, with_what_is_left(survey, proposal), samples)
+            proposal = with_likely_units(found, proposal, samples)
         proposals[found.name] = found, proposal
     usable = [name for name, (_, proposal) in proposals.items() if proposal.complete(survey)]
     if not usable:

@@ -168,10 +168,10 @@ def read_name(name: str) -> NameHints:
     parts = [part for part in re.split(r"[^A-Za-z0-9°%]+", rest) if part]
     if unit is None and joint is None:
         # Before words are split at capitals: "mNm" is a unit, not m and Nm.
-        parts, unit = _unit_suffix(parts, rest)
+        parts, unit = unit_suffix(parts, rest)
     parts = [word for part in parts for word in re.sub(r"([a-z])([A-Z])", r"\1_\2", part).split("_")]
     if unit is None and joint is None:
-        parts, unit = _unit_suffix(parts, rest)
+        parts, unit = unit_suffix(parts, rest)
     words: list[str] = []
     number = int(joint) if joint is not None and joint.isdecimal() else None
     for part in parts:
@@ -193,7 +193,7 @@ def read_name(name: str) -> NameHints:
     )
 
 
-def _unit_suffix(parts: list[str], name: str) -> tuple[list[str], str | None]:
+def unit_suffix(parts: list[str], name: str) -> tuple[list[str], str | None]:
     """The parts of a name without the unit that they end in, and that unit; None where they end in none."""
     for length in (3, 2, 1):
         if len(parts) > length:

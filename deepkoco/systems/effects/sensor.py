@@ -30,19 +30,19 @@ def _apply_bias(measurement: Tensor, site: SensorSite, p: Parameters) -> Tensor:
     return _changed(measurement, site.positions, lambda x: x + p["angle"])
 
 
-def _speed_bias(system: System, joint: int = 0) -> tuple[Parameter, ...]:
-    """A gyro or a tachometer; where the position is measured too, its change shows what a joint at rest does."""
-    shown = system.measured_states if system.shows_states else ()
-    if system.joints + joint not in shown or joint in shown:
+def _speed_bias(system: System, channel: int = 0) -> tuple[Parameter, ...]:
+    """A gyro or a tachometer, alone or beside an encoder."""
+    states = system.measured_states if system.shows_states else ()
+    if channel >= len(states) or states[channel] < system.joints:
         return ()
-    unit = system.state_units[system.joints + joint]
+    unit = system.state_units[states[channel]]
     return (
         Parameter("speed", 0.0, unit, -0.5, 0.5, 0.05, "w0, speed that the sensor shows of a joint at rest"),
     )
 
 
 def _apply_speed_bias(measurement: Tensor, site: SensorSite, p: Parameters) -> Tensor:
-    return _changed(measurement, site.speeds, lambda x: x + p["speed"])
+    return _changed(measurement, site.positions + site.speeds, lambda x: x + p["speed"])
 
 
 def _scale(system: System, joint: int = 0) -> tuple[Parameter, ...]:
@@ -101,7 +101,13 @@ SENSOR_BIAS = Effect(
     "sensor_bias", "sensor", "sensor", _bias, "the position sensor's zero is off", _apply_bias
 )
 SPEED_BIAS = Effect(
-    "speed_bias", "sensor", "sensor", _speed_bias, "the speed sensor's zero is off", _apply_speed_bias
+    "speed_bias",
+    "sensor",
+    "sensor",
+    _speed_bias,
+    "the speed sensor's zero is off",
+    _apply_speed_bias,
+    "channel",
 )
 SENSOR_SCALE = Effect(
     "sensor_scale", "sensor", "sensor", _scale, "the sensor's readings are scaled", _apply_scale

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from deepkoco.logs.inspect.evidence import POSITIONS, SPEEDS
-from deepkoco.logs.inspect.names import COMMANDED, WANTED, read_name, said_by
+from deepkoco.logs.inspect.names import COMMANDED, WANTED, read_name, said_by, unit_suffix
 from deepkoco.logs.inspect.survey import ColumnSurvey
 from deepkoco.logs.units import parse_unit
 
@@ -205,7 +205,7 @@ def role_in_name(name: str, topic: str = "") -> tuple[str | None, str]:
 
 def words_of(text: str) -> list[str]:
     """Words and numbers of a name in lower case, without a unit at its end."""
-    plain = re.sub(r"\[[^\[\]]*\]", " ", text)
+    plain = _without_unit(re.sub(r"\[[^\[\]]*\]", " ", text))
     spaced = re.sub(r"([a-z])([A-Z])", r"\1_\2", plain.replace("mNm", "mnm")).lower()
     words = [part for part in re.split(r"[^a-z0-9]+", spaced) if part]
     if len(words) > 1 and words[-1] in ("rad", "deg", "nm", "mnm", "rpm", "m", "mm", "cm"):
@@ -216,3 +216,20 @@ def words_of(text: str) -> list[str]:
         numbered = match is not None and match.group(1) in _ROLE_WORDS
         split += [match.group(1), match.group(2)] if match is not None and numbered else [word]
     return split
+
+
+def _without_unit(name: str) -> str:
+    """The name without the unit in which :func:`read_name` reads its column: ``pan_current_mA`` is of the joint pan.
+
+    A letter may count joints: ``pos_a`` has no unit, and ``current_A`` is of a joint A. ``pan_current_A`` is in ampere.
+    """
+    parts = [part for part in re.split(r"[^A-Za-z0-9]+", name) if part]
+    ahead, unit = unit_suffix(parts, name)
+    end = {part.lower() for part in parts[len(ahead) :]}
+    if unit is None or parse_unit(unit).quantity == "time" or end & _ROLE_WORDS:
+        return name
+    words = {part.lower() for part in ahead}
+    letter = len(parts) - len(ahead) == 1 and max(map(len, end)) == 1
+    if letter and (not words & EFFORT or words <= _ROLE_WORDS):
+        return name
+    return "_".join(ahead)

@@ -65,7 +65,7 @@ ROBOT = Robot(
         "roll_lag": Case("roll", {"lag": 0.05}, ("lag",), 0.05),
         "roll_weak": Case("roll", {"weak": 0.7}, ("gain(throttle_right)",), 0.837),
         "roll_offset": Case("roll", {"offset": 0.06}, ("torque_bias", "constant_load"), 0.06),
-        "roll_gyro": Case("roll", {"gyro_bias": 0.05}, ("speed_bias",), 0.05),
+        "roll_gyro": Case("roll", {"gyro_bias": 0.05}, ("speed_bias(rate)",), 0.05),
         "roll_lag_h1": Case("roll", {"lag": 0.05}, ("lag",), 0.05, healthy=1, spread=0.01),
     },
     suffix="",
