@@ -19,6 +19,7 @@ from rich.console import Console
 from deepkoco.cli.command_line import main
 from deepkoco.diagnose import FolderExistsError, diagnose, write_report
 from deepkoco.diagnose.causes import catalogue
+from deepkoco.diagnose.diagnosis import Estimate, Moved
 from deepkoco.diagnose.report.text import headline, lead, terminal_table
 from deepkoco.logs.recording import Series, write_log
 from deepkoco.systems import load_model, make_system
@@ -171,6 +172,24 @@ def test_write_report_refuses_an_existing_folder(diagnosis, tmp_path):
     with pytest.raises(FolderExistsError, match="mine: exists"):
         write_report(diagnosis, tmp_path / "mine")
     assert list((tmp_path / "mine").iterdir()) == []
+
+
+def test_the_headline_of_unknown_says_first_what_a_refit_explains(diagnosis):
+    few = tuple(replace(c, baseline=1.0, refit=0.01) for c in diagnosis.gain.channels)
+    moved = (Moved("gain", 0.21, Estimate(0.17, 0.169, 0.171, "N m/A"), 6.6),)
+    left = replace(
+        diagnosis, verdict="unknown", gain=replace(diagnosis.gain, channels=few, as_given=False), moved=moved
+    )
+    text = headline(left)
+    assert text.startswith("gain is 0.17 N m/A, not 0.21 N m/A")
+    assert "explains most of the difference once its own parameters are refitted" in text
+    assert text.endswith("more than noise is left, and no cause of the catalogue explains the rest")
+    none = replace(
+        left, gain=replace(left.gain, channels=tuple(replace(c, refit=0.9) for c in few)), moved=()
+    )
+    assert headline(none) == (
+        "The simulation differs from this log, and no cause of the catalogue explains the difference"
+    )
 
 
 def test_headline_and_lead_name_the_cause(diagnosis):

@@ -41,7 +41,8 @@ def headline(diagnosis: Diagnosis) -> str:
     if diagnosis.moved:
         values = " and ".join(moved_value(m) for m in diagnosis.moved)
         explained = f"{values}. With this, the simulation explains the log up to noise"
-    differs = "no cause of the catalogue explains the difference"
+    rest = "rest" if _once_refitted(diagnosis) else "difference"
+    differs = f"no cause of the catalogue explains the {rest}"
     if (family := diagnosis.unexplained.get("family")) is not None:
         differs = f"most likely by {family['text']}"
     if (midway := diagnosis.unexplained.get("changed_midway")) is not None:
@@ -52,9 +53,18 @@ def headline(diagnosis: Diagnosis) -> str:
         "cause": named,
         "ambiguous": f"{named} (or an equivalent)",
         "nothing": explained,
-        "unknown": f"The simulation differs from this log, and {differs}",
+        "unknown": f"{_differs(diagnosis)}, and {differs}",
         "insufficient": "The data do not suffice",
     }[diagnosis.verdict]
+
+
+def _differs(diagnosis: Diagnosis) -> str:
+    """Return that the simulation differs from the log, after what its own parameters explain where that is most."""
+    if refitted := _once_refitted(diagnosis):
+        values = " and ".join(moved_value(m) for m in diagnosis.moved)
+        text = f"The simulation explains most of the difference{refitted}; more than noise is left"
+        return f"{values}. {text}" if values else text
+    return "The simulation differs from this log"
 
 
 def _once_refitted(diagnosis: Diagnosis) -> str:

@@ -91,7 +91,7 @@ def diagnosis_of(request: DiagnosisRequest, explanation: Explanation, judgement:
         detection=detection_of(request, explanation),
         details=_details(request, base, judgement),
         final=_written(explanation, judgement),
-        moved=_moved(explanation, judgement) if judgement.verdict == "nothing" else (),
+        moved=_moved(explanation, judgement) if _is_refitted(explanation, judgement) else (),
         time_limit=request.limit.seconds,
         left_out=tuple(request.limit.left_out),
         correlated=_correlated(judgement),
@@ -201,6 +201,13 @@ def _signatures(
         return found
     (log,) = set(explanation.base.train.log.tolist())  # others may rest
     return (judgement.midway.evidence(request.recordings[log].path), *found)
+
+
+def _is_refitted(explanation: Explanation, judgement: Judgement) -> bool:
+    """Return whether the simulation explains what it explains by its own parameters."""
+    found = explanation.found
+    alone = judgement.verdict == "unknown" and not found.accepted and found.lost is None
+    return judgement.verdict == "nothing" or alone
 
 
 def _moved(explanation: Explanation, judgement: Judgement) -> tuple[Moved, ...]:
