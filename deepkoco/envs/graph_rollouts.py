@@ -64,9 +64,7 @@ class GraphRollouts:
             for node, state in start.items()
         }
         rows = np.zeros(loops * samples, np.int64)
-        state, _ = self._runtime.reset(
-            self._parameters, torch.Generator().manual_seed(0), initial, rows=rows
-        )
+        state, _ = self._runtime.reset(self._parameters, torch.Generator().manual_seed(0), initial, rows=rows)
         taken = torch.from_numpy(np.ascontiguousarray(actions.swapaxes(0, 1)))
         _, found = self._runtime.rollout(state, taken, record=["reward"])
         cost = -found["reward"][past.shape[1] :].sum(0)

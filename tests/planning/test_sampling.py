@@ -104,7 +104,9 @@ def test_noise_is_correlated_as_told():
     assert (noise[:, :, 1:] * noise[:, :, :-1]).mean() == pytest.approx(0.7, abs=0.03)
 
 
-@pytest.mark.parametrize("wrong", [{"method": "best"}, {"horizon": 0}, {"samples": 2}, {"spread": 0.0}, {"correlation": 1.0}])
+@pytest.mark.parametrize(
+    "wrong", [{"method": "best"}, {"horizon": 0}, {"samples": 2}, {"spread": 0.0}, {"correlation": 1.0}]
+)
 def test_settings_that_are_none_are_refused(wrong: dict):
     with pytest.raises(ValueError, match=next(iter(wrong))):
         SamplingConfig(**wrong)

@@ -89,6 +89,4 @@ class JointMotion(Node):
 
 def within_ranges(angles: Tensor) -> Tensor:
     """Joint angles (B, 6) cut to the ranges of the joints [rad]."""
-    return torch.stack(
-        [a.clamp(j.low, j.high) for a, j in zip(angles.unbind(-1), JOINTS, strict=True)], -1
-    )
+    return torch.stack([a.clamp(j.low, j.high) for a, j in zip(angles.unbind(-1), JOINTS, strict=True)], -1)

@@ -67,7 +67,9 @@ class Retreat(Node):
         stage = torch.where((stage == LOWER) & there, DONE, stage)
         back = before.clone()
         back[:, 1] -= 1.0
-        wanted = torch.where((stage == LIFT)[:, None], back, torch.where((stage == OVER)[:, None], above, down))
+        wanted = torch.where(
+            (stage == LIFT)[:, None], back, torch.where((stage == OVER)[:, None], above, down)
+        )
         most = RETREAT_SPEED * dt
         goals = within_ranges(before + (wanted - before).clamp(-most, most))
         goals = torch.where(active[:, None], goals, command)

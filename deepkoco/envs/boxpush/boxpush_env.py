@@ -137,7 +137,11 @@ class BoxPushVectorEnv(GraphVectorEnv):
             gymnasium.logger.warn('render() without a render mode: pass render_mode="rgb_array" to make()')
             return None
         seen = box_state(self.state.nodes["world"]["seen"])
-        place, angles, goal = seen.place.numpy(), seen.angles.numpy(), self.state.nodes["agent"]["goal"].numpy()
+        place, angles, goal = (
+            seen.place.numpy(),
+            seen.angles.numpy(),
+            self.state.nodes["agent"]["goal"].numpy(),
+        )
         return tuple(
             draw_box_push(angles[b], place[b], float(seen.yaw[b]), goal[b], self.render_size)
             for b in range(self.num_envs)

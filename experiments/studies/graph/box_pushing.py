@@ -152,9 +152,7 @@ def draw(found: pd.DataFrame, rows: pd.DataFrame) -> Figure:
         left.set_ylabel("distance from box to goal [cm]")
         left.set_ylim(bottom=0.0)
         left.legend(fontsize=7)
-        right.set_xticks(
-            range(len(shown)), [LABELS[name].replace(", ", ",\n") for name in shown], fontsize=7
-        )
+        right.set_xticks(range(len(shown)), [LABELS[name].replace(", ", ",\n") for name in shown], fontsize=7)
         right.set_ylabel("at the end [cm]")
         right.set_ylim(bottom=0.0)
     return figure

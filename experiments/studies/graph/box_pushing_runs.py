@@ -1,6 +1,6 @@
 """Episodes of box pushing by sampling planners that know the delays, or do not; one method and seed a process.
 
-    python -m experiments.studies.graph.box_pushing_runs mppi_delays 0 RESULT.json
+python -m experiments.studies.graph.box_pushing_runs mppi_delays 0 RESULT.json
 """
 
 from __future__ import annotations
@@ -66,7 +66,8 @@ def push(
         steps: Of an episode.
 
     Returns:
-        Distances (steps + 1, starts) from the boxes to their goals [m], and what is needed to film the first of them.
+        Distances (steps + 1, starts) from the boxes to their goals [m], which stay once a box is lost; and what is
+        needed to film the first of them.
     """
     envs = BoxPushVectorEnv(starts, steps + 1, delay_traces=starts)
     model = box_push_graph(BoxPushOptions(noise=False, history=0, time_step=MODEL_STEP))
@@ -76,6 +77,7 @@ def push(
     planner = SamplingPlanner(method.config, starts, -np.ones(2), np.ones(2), rng)
     observation, info = envs.reset(seed=seed)
     distances, film = [info["distance"]], [_pose(envs)]
+    ended = np.zeros(starts, bool)
     for _ in range(steps):
         beginning.see(observation)
         groups = beginning.groups()
@@ -88,8 +90,10 @@ def push(
 
         action = planner.decide(costs)
         beginning.act(action)
-        observation, _, _, _, info = envs.step(action.astype(np.float32))
-        distances.append(info["distance"])
+        observation, _, terminated, _, info = envs.step(action.astype(np.float32))
+        # A box that has left stays where it was lost; the environment has begun another episode.
+        distances.append(np.where(ended, distances[-1], info["distance"]))
+        ended |= terminated
         film.append(_pose(envs))
     shown = {name: np.array([pose[name] for pose in film]) for name in film[0]}
     return np.array(distances), shown
