@@ -61,8 +61,8 @@ class BoxPushSeat(Supervisor):
     """Sends actions (B, M) in [-1, 1] until the box has left the room or tipped over.
 
     The cost of a step is the distance of the box from the goal [m]; 0.3 times the distance of the tool from where it
-    would touch the box [m]; and 0.1 times (1 - the cosine between the ways from tool to box and from box to goal), which
-    fades within 3 cm of the goal. Distances count to 1 m at most. A box that has left costs ``lost`` beside.
+    would touch the box [m]; and 0.1 times (1 - the cosine between the ways from tool to box and from box to goal),
+    which fades within 3 cm of the goal. Distances count to 1 m at most. A box that has left costs ``lost`` beside.
 
     Readings: ``observation`` (B, 29 + M history), see `Seen`, then the past actions, newest first; ``reward``;
     ``terminated``; of the truth, (B,) each, ``distance`` from the box to the goal and ``gap`` between tool and box [m].

@@ -39,8 +39,8 @@ JOINTS = (
     ArmJoint("wrist_rotate", "x", (0.07, 0.0, 0.0), -3.1, 3.1, 0.2, 60.0, 2.0, 3.0),
 )
 """With all angles at 0 the upper arm stands upright and everything behind the elbow points ahead; the lengths are
-those on the data sheet of a ViperX 300. The gains let the shoulder sag by some hundredths of a radian, as servos of this
-kind do."""
+those on the data sheet of a ViperX 300. The gains let the shoulder sag by about a hundredth of a radian, as servos of
+this kind do."""
 
 TOOL = 0.108
 """From the last hinge to the tip of the tool, along x [m]."""

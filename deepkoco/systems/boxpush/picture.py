@@ -66,7 +66,7 @@ def _box(image: np.ndarray, place: np.ndarray, yaw: float) -> None:
     for height, colour in ((-BOX_HALF[2], SIDE), (BOX_HALF[2], LID)):
         ring = np.concatenate([place[:2] + corners, np.full((4, 1), place[2] + height)], -1)
         if height < 0.0:
-            raised = ring + (0.0, 0.0, 2.0 * BOX_HALF[2])
+            raised = ring + np.array([0.0, 0.0, 2.0 * BOX_HALF[2]])
             hull = cv2.convexHull(_seen(np.concatenate([ring, raised]), len(image)))
             cv2.fillConvexPoly(image, hull, SIDE, cv2.LINE_AA)
         else:
