@@ -22,8 +22,8 @@ class JointGuard(Node):
     """Hands joint goals on, within limits of range, speed, lead and workspace.
 
     A goal moves no faster than `SPEED_LIMIT`, stays within the range of its joint, and no further from the measured
-    angle than `LEAD_LIMIT`. Where the tip of the tool would leave the workspace, or a command is no number, the goals of
-    the tick before stay; a tool that is outside may come back in.
+    angle than `LEAD_LIMIT`. Where the tip of the tool would leave the workspace, or a command is no number, the goals
+    of the tick before stay; a tool that is outside may come back in.
 
     Inputs: ``command`` (B, 6) joint goals [rad]; ``encoders``. Output: joint goals (B, 6) [rad]. The reset gives
     ``goals`` (B, 6).

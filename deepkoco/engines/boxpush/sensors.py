@@ -19,7 +19,7 @@ CAMERA_NOISE = (0.001, 0.01)
 
 
 class Encoders(Node):
-    """Angles (B, 6) of the joints in whole ticks [rad], and their speeds (B, 6) [rad/s], in parts.
+    """Angles (B, 6) of the joints in whole ticks [rad], their speeds (B, 6) [rad/s], and ``stamp`` (B,) [s], in parts.
 
     Before the first message a receiver sees the start, which the reset gives as ``start`` (B, 12).
 
@@ -29,7 +29,11 @@ class Encoders(Node):
     """
 
     inputs = ("world",)
-    outputs = {"angles": ((6,), torch.float64), "speeds": ((6,), torch.float64)}  # noqa: RUF012
+    outputs = {  # noqa: RUF012
+        "angles": ((6,), torch.float64),
+        "speeds": ((6,), torch.float64),
+        "stamp": ((), torch.float64),
+    }
     free_rate = True
     finite = False  # a world that has diverged says so
 
@@ -41,16 +45,20 @@ class Encoders(Node):
         return {"start": torch.zeros(batch, 12, dtype=torch.float64)}
 
     def initial_output(self, parameters: Parameters, state: State, batch: int) -> dict[str, Tensor]:
-        return {"angles": state["start"][:, :6], "speeds": state["start"][:, 6:]}
+        start = state["start"]
+        return {"angles": start[:, :6], "speeds": start[:, 6:], "stamp": torch.zeros_like(start[:, 0])}
 
     def step(
         self, parameters: Parameters, state: State, inputs: dict[str, Input], *, noise
     ) -> tuple[State, dict[str, Tensor]]:
-        seen = box_state(inputs["world"].data[:, -1])
+        world = inputs["world"]
+        seen = box_state(world.data[:, -1])
+        stamp = world.t_start.clone()
         if not self.noise:
-            return state, {"angles": seen.angles, "speeds": seen.speeds}
+            return state, {"angles": seen.angles, "speeds": seen.speeds, "stamp": stamp}
         angles = TICK * torch.round(seen.angles / TICK)
-        return state, {"angles": angles, "speeds": seen.speeds + SPEED_NOISE * noise.normal(6)}
+        speeds = seen.speeds + SPEED_NOISE * noise.normal(6)
+        return state, {"angles": angles, "speeds": speeds, "stamp": stamp}
 
 
 class BoxCamera(Node):

@@ -19,7 +19,8 @@ LONGEST_AGE = 4  # steps
 class ModelStart:
     """Remembers what was seen and done, and says from where a model has to be rolled out.
 
-    With delays that is the time of the newest picture of the box: arm and servos as they were then, and the actions since.
+    With delays that is the time of the newest picture of the box: arm and servos as they were then, and the actions
+    since.
     Without, what was seen last is taken for the present: ``"newest"`` the newest of each sensor, or ``"one instant"``
     the arm as it was when the picture was taken, so that tool and box fit each other.
 
@@ -70,8 +71,10 @@ class ModelStart:
         before = known[-1 - kept][which] if len(known) > kept else np.zeros((loops, width))
         if self.take != "past":
             before = np.zeros((loops, width))  # without delays nothing is under way
+        # Angles are somewhat old where they were seen, too.
+        angles = arm.angles if self.take == "newest" else arm.angles + arm.joint_age * arm.speeds
         start = box_push_start(
-            self.graph, box, now.goal, arm.angles, arm.speeds, arm.goals, torch.from_numpy(before)
+            self.graph, box, now.goal, angles, arm.speeds, arm.goals, torch.from_numpy(before)
         )
         past = np.stack(since, 1) if since else np.zeros((loops, 0, width))
         return start, past

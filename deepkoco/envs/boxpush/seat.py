@@ -20,7 +20,7 @@ ROOM = ((0.15, 0.62), (-0.42, 0.42))
 """The box must stay within, along x and y [m]."""
 UPRIGHT = 0.8  # vertical part of the vector through the lid; below, the box has tipped over
 FARTHEST = 1.0  # [m]
-BOUNDS = (*(3.2,) * 6, *(4.0,) * 6, *(3.2,) * 6, *(FARTHEST,) * 4, 1.0, 1.0, *(FARTHEST,) * 4, 1.0)
+BOUNDS = (*(3.2,) * 6, *(4.0,) * 6, *(3.2,) * 6, *(FARTHEST,) * 4, 1.0, 1.0, *(FARTHEST,) * 4, 1.0, 1.0)
 """Symmetric bounds of an observation without past actions, see `BoxPushSeat`."""
 
 
@@ -36,6 +36,7 @@ class Seen(NamedTuple):
         way: From the box to its goal (2) [m].
         goal: The goal (2) [m].
         age: Of the picture of the box (1) [s].
+        joint_age: Of the angles (1) [s].
     """
 
     angles: Tensor
@@ -47,9 +48,10 @@ class Seen(NamedTuple):
     way: Tensor
     goal: Tensor
     age: Tensor
+    joint_age: Tensor
 
 
-WIDTHS = (6, 6, 6, 2, 2, 2, 2, 2, 1)
+WIDTHS = (6, 6, 6, 2, 2, 2, 2, 2, 1, 1)
 
 
 def seen_of(observation: Tensor) -> Seen:
@@ -64,7 +66,7 @@ class BoxPushSeat(Supervisor):
     would touch the box [m]; and 0.1 times (1 - the cosine between the ways from tool to box and from box to goal),
     which fades within 3 cm of the goal. Distances count to 1 m at most. A box that has left costs ``lost`` beside.
 
-    Readings: ``observation`` (B, 29 + M history), see `Seen`, then the past actions, newest first; ``reward``;
+    Readings: ``observation`` (B, 30 + M history), see `Seen`, then the past actions, newest first; ``reward``;
     ``terminated``; of the truth, (B,) each, ``distance`` from the box to the goal and ``gap`` between tool and box [m].
 
     The reset gives ``goal`` (B, 2) [m] and may give ``first`` (B, M), the action that holds before the first one.
@@ -125,6 +127,7 @@ class BoxPushSeat(Supervisor):
             goal - box[:, :2],
             goal,
             (camera.t_start - camera.data["stamp"][:, -1])[:, None],
+            (camera.t_start - joints["stamp"][:, -1])[:, None],
         )
         bound = torch.tensor(BOUNDS, dtype=torch.float64)
         observation = torch.cat(parts, -1).nan_to_num()

@@ -219,8 +219,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         with writing(folder):
             folder.mkdir(parents=True, exist_ok=True)
-        for method in args.methods:
-            for seed in args.seeds:
+        for seed in args.seeds:
+            for method in args.methods:
                 run_once(RUNS, method, seed, folder, options)
                 print(f"{method}, seed {seed}", flush=True)
     except ExperimentError as error:

@@ -24,7 +24,7 @@ from deepkoco.output.whole_file import write_whole_text
 from deepkoco.planning.sampling import SamplingConfig, SamplingPlanner
 
 STARTS = 7  # start states of a seed
-STEPS = 60  # of 0.1 s
+STEPS = 50  # of 0.1 s
 MODEL_STEP = 0.01
 """Of the planner's physics [s]; that of the world is half of it."""
 MPPI = SamplingConfig("mppi", horizon=12, samples=24)

@@ -164,7 +164,7 @@ def test_a_tool_that_is_outside_may_come_back():
     below = HOME.clone()
     below[:, 1] += 0.15
     assert float(tool_pose(below).place[0, 2]) < 0.015
-    state, goals = guard.step(
+    _, goals = guard.step(
         {}, {"goals": below}, {"command": message(HOME), "encoders": message({"angles": below})}, dt=0.05
     )
     assert float(goals[0, 1]) < float(below[0, 1])
