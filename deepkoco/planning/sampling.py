@@ -125,8 +125,8 @@ class SamplingPlanner:
         return np.moveaxis(noise, 0, 2)
 
     def _mppi(self, plans: Array, costs: Array, mean: Array, spread: Array) -> tuple[Array, Array]:
-        known = np.isfinite(costs)
-        usable = known.any(1)
+        known: Array = np.isfinite(costs)
+        usable: Array = known.any(1)
         filled = np.where(known, costs, 0.0)
         count = known.sum(1, keepdims=True).clip(1)
         average = filled.sum(1, keepdims=True) / count
@@ -140,11 +140,13 @@ class SamplingPlanner:
 
     def _cem(self, plans: Array, costs: Array, mean: Array, spread: Array) -> tuple[Array, Array]:
         order = np.argsort(costs, 1, kind="stable")[:, : self.config.elites]
-        usable = np.isfinite(np.take_along_axis(costs, order, 1)).all(1)[:, None, None]
+        known: Array = np.isfinite(np.take_along_axis(costs, order, 1))
+        usable: Array = known.all(1)
         elites = np.take_along_axis(plans, order[:, :, None, None], 1)
         least = self.config.least_spread * self._half
         after = elites.mean(1), np.maximum(elites.std(1), least)
-        return np.where(usable, after[0], mean), np.where(usable, after[1], spread)
+        chosen = usable[:, None, None]
+        return np.where(chosen, after[0], mean), np.where(chosen, after[1], spread)
 
 
 METHODS = {"mppi": SamplingPlanner._mppi, "cem": SamplingPlanner._cem}

@@ -1,5 +1,7 @@
 """From observations to the start of a model: what the graph was at the time of the picture."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -13,7 +15,7 @@ from deepkoco.systems.boxpush import tool_pose
 
 pytest.importorskip("mujoco")
 ACTIONS = np.array([[1.0, 0.0]] * 8 + [[0.5, 0.5]] * 4)
-DELAYS = {"camera_delay": 0.15, "actuation_delay": 0.03}
+DELAYS: dict[str, Any] = {"camera_delay": 0.15, "actuation_delay": 0.03}
 
 
 def driven(steps: int, take: str = "past"):
