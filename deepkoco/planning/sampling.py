@@ -125,8 +125,8 @@ class SamplingPlanner:
         return np.moveaxis(noise, 0, 2)
 
     def _mppi(self, plans: Array, costs: Array, mean: Array, spread: Array) -> tuple[Array, Array]:
-        known: Array = np.isfinite(costs)
-        usable: Array = known.any(1)
+        known = np.asarray(np.isfinite(costs))
+        usable = np.asarray(known.any(1))
         filled = np.where(known, costs, 0.0)
         count = known.sum(1, keepdims=True).clip(1)
         average = filled.sum(1, keepdims=True) / count
@@ -140,8 +140,8 @@ class SamplingPlanner:
 
     def _cem(self, plans: Array, costs: Array, mean: Array, spread: Array) -> tuple[Array, Array]:
         order = np.argsort(costs, 1, kind="stable")[:, : self.config.elites]
-        known: Array = np.isfinite(np.take_along_axis(costs, order, 1))
-        usable: Array = known.all(1)
+        known = np.asarray(np.isfinite(np.take_along_axis(costs, order, 1)))
+        usable = np.asarray(known.all(1))
         elites = np.take_along_axis(plans, order[:, :, None, None], 1)
         least = self.config.least_spread * self._half
         after = elites.mean(1), np.maximum(elites.std(1), least)

@@ -188,7 +188,7 @@ def summary(rows: pd.DataFrame, compared: pd.DataFrame, runs: dict[str, dict[int
     ]
     for name in [name for name in LABELS if name in runs]:
         own = rows[rows["method"] == name]
-        final, mean = (100.0 * own[key].to_numpy() for key in ("final", "mean"))
+        final, mean = (100.0 * np.asarray(own[key], float) for key in ("final", "mean"))
         seconds = sum(run["cpu_seconds"] for run in runs[name].values()) / len(own)
         end, whole = interval(final), interval(mean)
         lines.append(
