@@ -32,6 +32,9 @@ POOL, POOL_STEPS = "deepkoco/Pool-v0", 200
 # A quadrotor lands on an inclined deck that moves: 0 to 25 degrees, 0 to 1 m/s.
 LANDING, LANDING_STEPS = "deepkoco/InclinedLanding-v0", 200
 
+# An arm with six joints pushes a box to a goal, in MuJoCo; the box is seen late, and its friction varies.
+BOX_PUSH, BOX_PUSH_STEPS = "deepkoco/BoxPush-v0", 100
+
 # A unit in virtual time, for policies that learn on it: task.id=deepkoco/Unit-v0 +task.kwargs.unit=UNIT.yaml
 UNIT, UNIT_STEPS = "deepkoco/Unit-v0", 200
 
@@ -54,6 +57,7 @@ def register_envs() -> None:
     for name, steps, kind in (
         (POOL, POOL_STEPS, "pool.pool_env:Pool"),
         (LANDING, LANDING_STEPS, "landing.landing_env:Landing"),
+        (BOX_PUSH, BOX_PUSH_STEPS, "boxpush.boxpush_env:BoxPush"),
     ):
         if name not in gymnasium.registry:
             gymnasium.register(

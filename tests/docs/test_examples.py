@@ -51,6 +51,7 @@ def test_examples_go_on_from_the_first_graph(
         "environments.md",
         "gradients.md",
         "hidden_cause.md",
+        "boxpush.md",
         "landing.md",
         pytest.param("logs.md", marks=pytest.mark.study),
         pytest.param("identify.md", marks=pytest.mark.study),
@@ -64,7 +65,7 @@ def test_examples_go_on_from_the_first_graph(
     ],
 )
 def test_examples_run_from_top_to_bottom(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    if page == "environments.md":
+    if page in ("boxpush.md", "environments.md"):
         pytest.importorskip("mujoco")
     monkeypatch.chdir(tmp_path)
     run_examples(page, {"__name__": "example"})
