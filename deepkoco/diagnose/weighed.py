@@ -141,7 +141,9 @@ def _with_one_cause(request: DiagnosisRequest, explanation: Explanation, more: i
     if not single:
         return explanation
     request.progress(f"one cause instead of many parameters: {max(single, key=lambda n: single[n])}")
-    again = _selected_again(request, explanation, [c for c in request.causes if c.name in single], more)
+    # The weights leave out a parameter to which an effect adds; the start of that effect needs it.
+    rivals = [c for c in request.causes if c.name in single or is_changed(c)]
+    again = _selected_again(request, explanation, rivals, more)
     return again if again.found.accepted else explanation
 
 

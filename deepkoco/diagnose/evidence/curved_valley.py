@@ -62,7 +62,7 @@ def cheapest_in_valley(
         return []
     for cause in causes:
         placed = next((e for e in problem.system.effects if e.name == cause.effect), None)
-        if placed is None or not (cause.kind == "payload" or placed.effect.multiplies):
+        if placed is None or placed.effect.site not in ("place", "body"):
             continue
         point = _Valley(problem, reference, prior, cause, placed, motion).cheapest()
         if point.promise > LEAST:

@@ -24,5 +24,4 @@ BODY_MASS = Effect(
     "a body is heavier or lighter than assumed, in the same shape",
     _apply_body_mass,
     "body",
-    multiplies=True,
 )

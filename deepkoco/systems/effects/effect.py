@@ -82,7 +82,6 @@ class Effect:
             at which it holds a joint at rest. ``apply`` is then the load of this size against a smoothed direction.
         steady: Whether ``level`` depends on the parameters alone.
         memory: Of an effect with a memory, how its value begins and changes.
-        multiplies: Whether its only parameter is a factor on parameters of the system.
     """
 
     name: str
@@ -97,7 +96,6 @@ class Effect:
     steady: bool = False
     memory: Memory | None = None
     shared: bool = False
-    multiplies: bool = False
 
     @property
     def dry(self) -> bool:

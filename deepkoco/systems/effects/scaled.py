@@ -24,5 +24,4 @@ SCALED = Effect(
     "all parameters of a kind differ by one factor",
     _apply_scaled,
     "kind",
-    multiplies=True,
 )
