@@ -6,7 +6,7 @@ from deepkoco.systems.effects.effect import Effect
 from deepkoco.systems.parameter import Parameter
 from deepkoco.systems.system import System
 
-LONGEST = 1.0  # of a thruster, a valve or a radio link; a motor has a tenth of it [s]
+LONGEST = 0.3  # [s]
 LONGEST_OF_CHANNEL = 0.5  # of receivers and cameras [s]
 FASTEST_CLOCK = 5e-3  # relative
 LONGEST_LEAD = 0.05  # [s]
