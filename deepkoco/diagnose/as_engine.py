@@ -11,6 +11,7 @@ causes that were found (:mod:`deepkoco.diagnose.the_other_way`).
 
 from __future__ import annotations
 
+import contextlib
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -68,8 +69,8 @@ def as_engine_if_shown(
         length: Of the windows [s].
         learned: Baseline from healthy logs, which have decided; None for none.
     """
-    if system.with_engine() is None:
-        return system
+    if system.engine is not None or system.with_engine() is None:
+        return system  # a file says that it is of an engine, or it has none
     if learned is not None:
         of_learned = learned.system
         own = None if of_learned.engine is None else system.with_engine(step=of_learned.engine_step)
@@ -111,19 +112,23 @@ def closest(machine: S, left: Callable[[S], Left]) -> S:
     log.debug("%s: %s as a machine, %s as in %s", machine.name, held, best, of_file.engine)
     if NOISE < min(best.per_sample, held.per_sample) <= FAR:
         step = of_file.engine_step
-        costs = {step: best.cost}
-        for share in (0.5, 0.0):
-            other = machine.with_engine(step=share * step)
-            assert other is not None
-            costs[share * step] = left(other).cost
-        told = _least(costs)
-        other = machine.with_engine(step=told)
-        assert other is not None
-        again = left(other)
-        log.debug("%s: %s in steps of %.3g s, costs %s", machine.name, again, told, costs)
-        if again.less_than(best):
-            simulated, best = other, again
+        with contextlib.suppress(DivergedError):  # the step of the file then stands
+            costs = {step: best.cost}
+            for share in (0.5, 0.0):
+                costs[share * step] = left(_in_steps(machine, share * step)).cost
+            told = _least(costs)
+            other = _in_steps(machine, told)
+            again = left(other)
+            log.debug("%s: %s in steps of %.3g s, costs %s", machine.name, again, told, costs)
+            if again.less_than(best):
+                simulated, best = other, again
     return simulated if best.per_sample <= NEAR and best.less_than(held) else machine
+
+
+def _in_steps(machine: S, step: float) -> S:
+    simulated = machine.with_engine(step=step)
+    assert simulated is not None
+    return simulated
 
 
 def _least(costs: Mapping[float, float]) -> float:

@@ -18,16 +18,31 @@ from collections.abc import Sequence
 import numpy as np
 
 from deepkoco.diagnose.causes import Cause
+from deepkoco.diagnose.causes.tolerance import usual_sd
 from deepkoco.diagnose.data_sheet import guessed, with_usual_spread
-from deepkoco.diagnose.evidence.priors import strained
 from deepkoco.diagnose.nothing_at_once import PLAUSIBLE, ROUGH
 from deepkoco.diagnose.probability.shadow import linearised
 from deepkoco.diagnose.refitted import Refitted
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 
-ODDS = math.log(
-    10.0
-)  # log odds against a rough file and against no cause, from which one cause explains a log
+# Log odds against a rough file and against no cause, from which one cause explains a log.
+ODDS = math.log(10.0)
+BEYOND = 3.0  # standard deviations of units of one make, from which a moved parameter asks for a cause
+
+
+def is_asked(base: Refitted) -> bool:
+    """Return whether somebody guessed priors, and the refit moved a parameter farther than units of one make differ.
+
+    Healthy logs say what the unit is, so no more is asked beside them.
+
+    Args:
+        base: The refitted baseline.
+    """
+    start, values = base.start, base.reference.values
+    if base.learned.healthy is not None or start.tempering > 1.0 or not guessed(start):
+        return False
+    known = (p for p in start.system.parameters if p.guessed and p.name in start.prior.names)
+    return any(abs(values[p.name] - start.values[p.name]) > BEYOND * usual_sd(p) for p in known)
 
 
 def one_cause(base: Refitted, causes: Sequence[Cause]) -> dict[str, float]:
@@ -39,15 +54,12 @@ def one_cause(base: Refitted, causes: Sequence[Cause]) -> dict[str, float]:
 
     Returns:
         Names of the best cause and of those that are nearly as probable -> log odds [nats] against a rough file and
-        against units of one make. Empty where nobody guessed a prior, healthy logs say what the unit is, the refit is
-        one of a usual unit, or no single cause is enough.
+        against units of one make. Empty where the question is not asked, or no single cause is enough.
     """
     start, reference = base.start, base.reference
-    if base.learned.healthy is not None or start.tempering > 1.0 or not guessed(start):
+    if not is_asked(base):
         return {}
     usual = with_usual_spread(start)
-    if not strained(base.problem, usual, reference):
-        return {}
     try:
         rough = linearised(base.problem, reference, start, causes, None, alone=True)
         point = linearised(base.problem, reference, usual, causes, None)

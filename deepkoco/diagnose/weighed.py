@@ -34,7 +34,8 @@ from deepkoco.diagnose.explanation import (
 from deepkoco.diagnose.healthy import extended
 from deepkoco.diagnose.little_of_all import usual_sizes, with_little, with_little_of_all
 from deepkoco.diagnose.nothing_at_once import PLAUSIBLE, Weights, are_weighed, nothing_at_once, weights_before
-from deepkoco.diagnose.one_cause import one_cause
+from deepkoco.diagnose.one_cause import is_asked, one_cause
+from deepkoco.diagnose.one_change import one_change
 from deepkoco.diagnose.probability.answer import Answer
 from deepkoco.diagnose.probability.shadow import answer_of, log_prior_of_losses
 from deepkoco.diagnose.request import DiagnosisRequest
@@ -130,19 +131,19 @@ def _with_one_cause(request: DiagnosisRequest, explanation: Explanation, more: i
     """Return the explanation by one cause of a unit of a model file, where that is what a refit spread over many."""
     base, found = explanation.base, explanation.found
     left = found.final.chi2 > base.start.most_noise(base.train) * base.train.samples
-    if (
-        found.accepted
-        or found.lost is not None
-        or left
-        or not request.limit.allows("one cause instead of many")
-    ):
+    if found.accepted or found.lost is not None or left or not is_asked(base):
         return explanation
-    single = one_cause(base, request.causes)
+    if not request.limit.allows("one cause instead of many parameters"):
+        return explanation
+    rivals = list(request.causes)
+    single = one_change(base, base.reference)
+    if not single:
+        single = one_cause(base, request.causes)
+        # The weights leave out a parameter to which an effect adds; the start of that effect needs it.
+        rivals = [c for c in rivals if c.name in single or is_changed(c)]
     if not single:
         return explanation
     request.progress(f"one cause instead of many parameters: {max(single, key=lambda n: single[n])}")
-    # The weights leave out a parameter to which an effect adds; the start of that effect needs it.
-    rivals = [c for c in request.causes if c.name in single or is_changed(c)]
     again = _selected_again(request, explanation, rivals, more)
     return again if again.found.accepted else explanation
 

@@ -234,7 +234,7 @@ class System(SignalPath, NamedJoints, Drawn, metaclass=Declared):
         return None
 
     def with_engine(self, on: bool = True, step: float | None = None) -> Self | None:
-        """The system as the engine of its file simulates it; None if it is so already, or has no engine.
+        """The system as the engine of its file simulates it; None if it is so in this step already, or has no engine.
 
         Friction then creeps, see :mod:`deepkoco.systems.creep`, and commands act as early as in the engine's steps.
 

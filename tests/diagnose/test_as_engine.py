@@ -81,6 +81,11 @@ def test_logs_tell_the_steps_of_the_engine_where_they_are_not_those_of_the_file(
     assert found.engine_step == pytest.approx(step, abs=2e-4)
 
 
+def test_a_model_file_that_states_steps_keeps_them(slider):
+    stated = slider.with_engine(step=0.0005)
+    assert as_engine_if_shown([from_mujoco(step=0.0025, noise=2e-6)], stated, window_length(slider)) is stated
+
+
 def test_a_robot_without_dry_friction_and_with_exact_steps_is_a_machine(tmp_path):
     path = tmp_path / "free.xml"
     path.write_text(SLIDER.replace("timestep", 'integrator="RK4" timestep').format(damping=4.0, friction=0.0))

@@ -183,7 +183,7 @@ def test_the_headline_of_unknown_says_first_what_a_refit_explains(diagnosis):
     text = headline(left)
     assert text.startswith("gain is 0.17 N m/A, not 0.21 N m/A")
     assert "explains most of the difference once its own parameters are refitted" in text
-    assert text.endswith("more than noise is left, and no cause of the catalogue explains the rest")
+    assert text.endswith("it still differs from this log, and no cause of the catalogue explains the rest")
     none = replace(
         left, gain=replace(left.gain, channels=tuple(replace(c, refit=0.9) for c in few)), moved=()
     )

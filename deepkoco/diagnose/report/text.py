@@ -62,7 +62,7 @@ def _differs(diagnosis: Diagnosis) -> str:
     """Return that the simulation differs from the log, after what its own parameters explain where that is most."""
     if refitted := _once_refitted(diagnosis):
         values = " and ".join(moved_value(m) for m in diagnosis.moved)
-        text = f"The simulation explains most of the difference{refitted}; more than noise is left"
+        text = f"The simulation explains most of the difference{refitted}; it still differs from this log"
         return f"{values}. {text}" if values else text
     return "The simulation differs from this log"
 

@@ -33,7 +33,7 @@ def _apply_bias(measurement: Tensor, site: SensorSite, p: Parameters) -> Tensor:
 def _speed_bias(system: System, channel: int = 0) -> tuple[Parameter, ...]:
     """A gyro or a tachometer, alone or beside an encoder."""
     states = system.measured_states if system.shows_states else ()
-    if channel >= len(states) or states[channel] < system.joints:
+    if channel >= len(states) or not system.joints <= states[channel] < 2 * system.joints:
         return ()
     unit = system.state_units[states[channel]]
     return (

@@ -13,7 +13,7 @@ from torch import Tensor
 from deepkoco.systems.parameter import Parameter, Parameters
 from deepkoco.systems.trees.dynamics import NONE, Inertia, rotated, shifted
 from deepkoco.systems.trees.force_limits import KIND, force_limit, force_range, is_limited
-from deepkoco.systems.trees.geometry import products_of_inertia
+from deepkoco.systems.trees.geometry import PRODUCTS, products_of_inertia
 from deepkoco.systems.trees.places import point_along
 from deepkoco.systems.trees.scalars import ZERO, Scalar, Triple, add, mul, outward, plus
 from deepkoco.systems.trees.tree import Actuator, Body, Joint, Matrix, Tree
@@ -81,7 +81,7 @@ def declared_parameters(tree: Tree, moved: Sequence[float]) -> tuple[Parameter, 
 
 
 def grows_with_mass(tree: Tree, visible: Collection[str]) -> dict[str, dict[str, float]]:
-    """Bodies -> names and values of the mass and the moments of inertia, where a motion shows more than one of them.
+    """Bodies -> names and values of what grows with their mass, where a motion shows more than the mass of it.
 
     Args:
         tree: The tree.
@@ -92,7 +92,7 @@ def grows_with_mass(tree: Tree, visible: Collection[str]) -> dict[str, dict[str,
         moments = {f"inertia_{axis}({body.name})": x for axis, x in zip(AXES, body.moments, strict=True)}
         own = {f"mass({body.name})": body.mass, **moments}
         if body.mass > 0.0 and len(own.keys() & set(visible)) > 1:
-            found[body.name] = own
+            found[body.name] = own | {f"inertia_{pair}({body.name})": 0.0 for pair in PRODUCTS}
     return found
 
 
