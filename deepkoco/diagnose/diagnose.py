@@ -95,6 +95,8 @@ def diagnose(
     causes = (
         shown_causes(all_causes, measured) if only is None else causes_named(all_causes, only, plain.name)
     )
+    regrouping = [c for c in causes if c.regroups] if only is None else []
+    causes = [c for c in causes if c not in regrouping]
     if baseline is not None and healthy:
         raise BaselineError(
             f"both a baseline and {len(healthy)} healthy logs are given; give either the logs or the baseline "
@@ -126,6 +128,7 @@ def diagnose(
             limit,
             holdout,
             usual,
+            regrouping,
         )
         if len(data.train) < MIN_TRAINING_WINDOWS:
             return insufficient(request)

@@ -31,6 +31,7 @@ class DiagnosisRequest:
         limit: Asked before every step that an answer can do without; it remembers those that it refused.
         holdout: Logs that are never fitted.
         usual: Length [s] that the windows have where the simulation as given follows the logs; no window is longer.
+        regrouping: Causes to try only in the place of many parameters that a refit moved.
     """
 
     recordings: Sequence[Recording]
@@ -46,3 +47,4 @@ class DiagnosisRequest:
     limit: TimeLimit = field(default_factory=TimeLimit)
     holdout: Sequence[Recording] = ()
     usual: float = 0.0
+    regrouping: Sequence[Cause] = ()

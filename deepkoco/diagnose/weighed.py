@@ -135,10 +135,10 @@ def _with_one_cause(request: DiagnosisRequest, explanation: Explanation, more: i
         return explanation
     if not request.limit.allows("one cause instead of many parameters"):
         return explanation
-    rivals = list(request.causes)
+    rivals = [*request.causes, *request.regrouping]
     single = one_change(base, base.reference)
     if not single:
-        single = one_cause(base, request.causes)
+        single = one_cause(base, rivals)
         # The weights leave out a parameter to which an effect adds; the start of that effect needs it.
         rivals = [c for c in rivals if c.name in single or is_changed(c)]
     if not single:

@@ -32,6 +32,7 @@ BODY_MASS = Cause(
     "theta",
     lambda motion: np.sin(motion.theta),
     lambda hint: [{"factor": factor} for factor in (1.0, 0.7, 1.5)],
+    regroups=True,
 )
 FORCE = Cause(
     "force",

@@ -79,8 +79,10 @@ def said_of(engine: Engine | None) -> tuple[str, ...]:
     """The note that a system is simulated so; nothing of a machine."""
     if engine is None:
         return ()
-    early = " and commands act half a step early" if engine.lead > 0.0 else ""
-    return (f"{AS_ENGINE}: in steps of {1e3 * engine.step:.3g} ms dry friction creeps{early}",)
+    does = ["dry friction creeps"] if engine.softness is not None else []
+    does += ["commands act half a step early"] if engine.lead > 0.0 else []
+    long = f"in steps of {1e3 * engine.step:.3g} ms" if engine.step > 0.0 else "in steps too short to show"
+    return (f"{AS_ENGINE}: {long} {' and '.join(does) or 'it moves as a machine'}",)
 
 
 def ahead(
