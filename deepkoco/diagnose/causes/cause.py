@@ -78,8 +78,8 @@ class Cause:
             zero of its joint, and has one parameter less then.
         relative: ``(system, channel)`` -> channels that have none of it, where one shows it only beside one of these;
             None where its own shows it alone.
-        regroups: Whether it is one factor on parameters that a refit frees: it adds nothing beside them, and is asked for
-            only in the place of many of them, or by its name.
+        regroups: Whether it is one factor on parameters that a refit frees: it adds nothing beside them, and is asked
+            for only in the place of many of them, or by its name.
         tolerance: How much of every other parameter any healthy machine has, as a distance from the null value.
         effect: Name of the placed effect that simulates it; "event" for a push, "changed" for a parameter itself.
         beside: Names of these channels, once it is placed.
