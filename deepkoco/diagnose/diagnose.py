@@ -91,7 +91,7 @@ def diagnose(
     base = stretchable_if_asked(any_system(system), only)
     recordings, healthy, holdout = (read_logs(logs, base) for logs in (recordings, healthy, holdout))
     plain = base.base if isinstance(base, ExtendedSystem) else base
-    all_causes, measured = catalogue(plain), measured_channels([*recordings, *holdout])
+    all_causes, measured = catalogue(plain, regrouping=True), measured_channels([*recordings, *holdout])
     causes = (
         shown_causes(all_causes, measured) if only is None else causes_named(all_causes, only, plain.name)
     )

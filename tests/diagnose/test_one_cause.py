@@ -53,7 +53,7 @@ def rod(tmp_path_factory):
 def single(log, system):
     data = cut_data([log], [], system, window_length(system))
     base = refit_to_logs(with_gauges_fixed(baseline_from(system, data.train), data.train), data)
-    return one_cause(base, shown_causes(catalogue(system), ["q_hinge"]))
+    return one_cause(base, shown_causes(catalogue(system, regrouping=True), ["q_hinge"]))
 
 
 def test_a_parameter_that_a_guessed_prior_allows_is_found(rod):

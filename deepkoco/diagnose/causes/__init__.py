@@ -163,11 +163,18 @@ def _register_installed() -> None:
             declared()
 
 
-def catalogue(system: System) -> dict[str, Cause]:
-    """Return the causes at every joint, command, channel and parameter where they have a meaning, by their names."""
+def catalogue(system: System, regrouping: bool = False) -> dict[str, Cause]:
+    """Return the causes at every joint, command, channel and parameter where they have a meaning, by their names.
+
+    Args:
+        system: A plain system.
+        regrouping: Whether factors on parameters that a refit frees are among them, see :class:`Cause`.
+    """
     _register_installed()
     result: dict[str, Cause] = {}
     for kind, cause in CAUSES.items():
+        if cause.regroups and not regrouping:
+            continue
         if cause is CHANGED:
             placed = changed_causes(system)
         elif kind in EFFECTS:
