@@ -4,8 +4,8 @@ The prior of a model file is a guess: it allows a drive's gain to be 20 % off, a
 a friction half. A refit under it explains a motor of 0.7 of its gain, a part in the gripper or a heavier link by these
 parameters, and then nothing is left for a cause. Whether the file is rough in many of its values, or right but for one
 thing, is a question of weights: the log evidence of one cause beside parameters as units of one make have them, of
-those parameters alone, and of parameters that are as far off as their guesses allow. All three follow from one
-linearisation at the refit, which leaves only noise.
+those parameters alone, and of parameters that are as far off as their guesses allow. All three follow from the slopes
+at the refit, which leaves only noise.
 
 Source: Kass, Raftery, Bayes factors (1995), the Laplace approximation.
 """

@@ -97,10 +97,15 @@ def _in_engine(document: dict[str, Any], base: System) -> System:
     """
     name, step = document.get("engine"), document.get("engine_step")
     if name is None:
+        if step is not None:
+            raise ValueError(
+                "engine_step: a machine has no steps; name the engine too, or leave this key out"
+            )
         return base
-    if step is not None and not (isinstance(step, float | int) and math.isfinite(step) and step >= 0.0):
+    number = isinstance(step, float | int) and not isinstance(step, bool)
+    if step is not None and not (number and math.isfinite(step) and step >= 0.0):
         raise ValueError(
-            f"engine_step: {step!r} is no time in s; leave this key out for the step of the file"
+            f"engine_step: {step!r} is no time in s (0.0002 or 2.0e-4); leave this key out for the step of the file"
         )
     found = base.with_engine(step=None if step is None else float(step))
     if found is None or found.engine != name:

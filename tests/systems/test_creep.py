@@ -203,10 +203,19 @@ def test_a_model_file_keeps_the_kind_of_friction(head, tmp_path):
         assert read.parameter("coulomb(pan).torque").value == 0.05
 
 
-def test_a_model_file_with_a_step_that_is_no_time_is_refused(head, tmp_path):
+@pytest.mark.parametrize("step", ["two", "true", "-0.001", ".inf"])
+def test_a_model_file_with_a_step_that_is_no_time_is_refused(head, tmp_path, step):
     save_model(tmp_path / "model.yaml", ExtendedSystem(head, (), {}).with_engine())
     text = (tmp_path / "model.yaml").read_text()
     assert "engine_step: 5.0e-05" in text
-    (tmp_path / "model.yaml").write_text(text.replace("engine_step: 5.0e-05", "engine_step: two"))
+    (tmp_path / "model.yaml").write_text(text.replace("engine_step: 5.0e-05", f"engine_step: {step}"))
     with pytest.raises(ModelFileError, match="engine_step"):
+        load_model(tmp_path / "model.yaml")
+
+
+def test_a_model_file_of_a_machine_has_no_steps(head, tmp_path):
+    save_model(tmp_path / "model.yaml", ExtendedSystem(head, (), {}).with_engine())
+    text = (tmp_path / "model.yaml").read_text()
+    (tmp_path / "model.yaml").write_text(text.replace("engine: MuJoCo\n", ""))
+    with pytest.raises(ModelFileError, match="a machine has no steps"):
         load_model(tmp_path / "model.yaml")

@@ -172,11 +172,20 @@ class Engine:
     joints_ahead: float = 0.0
     drives_ahead: float = 0.0
 
-    lead = property(
-        lambda self: self.steps_ahead * self.step
-    )  # time before its step at which a command acts [s]
-    late = property(lambda self: self.steps_late * self.step)  # of the speeds in all loads [s]
-    shown_late = property(lambda self: self.steps_behind * self.step)  # of the speeds that it shows [s]
+    @property
+    def lead(self) -> float:
+        """Time before its step at which a command acts [s]."""
+        return self.steps_ahead * self.step
+
+    @property
+    def late(self) -> float:
+        """Time by which the speeds in all loads are late [s]; below 0: early."""
+        return self.steps_late * self.step
+
+    @property
+    def shown_late(self) -> float:
+        """Time by which a speed that the engine shows is behind the position beside it [s]."""
+        return self.steps_behind * self.step
 
 
 @dataclass(frozen=True)
