@@ -18,6 +18,7 @@ from deepkoco.engines.boxpush import (
     Retreat,
     world_start,
 )
+from deepkoco.engines.boxpush.motion import JOINT_SPEED, TOOL_SPEED
 from deepkoco.engines.boxpush.retreat import home_angles
 from deepkoco.engines.boxpush.sensors import CAMERA_NOISE
 from deepkoco.envs.boxpush.seat import BoxPushSeat
@@ -125,7 +126,8 @@ def box_push_start(
         angles: (B, 6) of the joints [rad]; None: the arm is at home.
         speeds: (B, 6) of the joints [rad/s]; None: at rest.
         goals: (B, 6) that the servos have been sent [rad]; None: the angles.
-        first: (B, M) action that holds before the first one; None: zero.
+        first: (B, M) action that holds before the first one, and whose tick at the start has led to the goals; None:
+            zero.
     """
     batch = len(box)
     angles = home_angles()[1:].expand(batch, 6).clone() if angles is None else angles
@@ -133,9 +135,14 @@ def box_push_start(
     goals = angles if goals is None else goals
     world: Any = graph.node("world")
     agent: State = {"goal": goal} if first is None else {"goal": goal, "first": first}
+    node = graph.node("motion")
+    # The goals that are seen contain the tick of that instant, which the graph carries out at its start.
+    tick = 0.0 if first is None else first / float(node.rate)
     motion: State = {"goals": goals}
-    if isinstance(graph.node("motion"), InverseKinematics):
-        motion["point"] = tool_pose(goals).place[:, :2]
+    if isinstance(node, InverseKinematics):
+        motion["point"] = tool_pose(goals).place[:, :2] - TOOL_SPEED * tick
+    elif first is not None:
+        motion["goals"] = goals - JOINT_SPEED * tick
     return {
         "world": world_start(world, box, angles, speeds),
         "encoders": {"start": torch.cat([angles, speeds], -1)},
