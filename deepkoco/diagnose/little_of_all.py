@@ -19,6 +19,7 @@ from deepkoco.diagnose.evidence.minor import sample_period
 from deepkoco.diagnose.evidence.priors import declared, prior_with
 from deepkoco.diagnose.evidence.selected import Selected
 from deepkoco.diagnose.explanation import Explanation, of_mean
+from deepkoco.diagnose.refitted import Refitted
 from deepkoco.diagnose.request import DiagnosisRequest
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.systems import Parameter
@@ -98,18 +99,29 @@ def with_little_of_all(
     limit = base.start.most_noise(base.train) * base.train.samples
     if found.final.chi2 <= limit or not request.limit.allows("small effects that any unit has"):
         return explanation
-    usual = base.start if base.learned.healthy is not None else with_usual_spread(base.start)
-    known = {n: found.final.values[n] for n in usual.prior.names}
-    state, _ = base.problem.fit_states({**base.start.values, **known}, found.final.state)
-    plain = replace(
-        found.final, values={**base.start.values, **known}, state=state, nuisance=base.reference.nuisance
-    )
-    start, fit = beside(base.problem, usual, plain, (), causes)
-    if fit.diverged or fit.chi2 >= found.final.chi2:
+    again = refit_with_little(base, found.final, causes)
+    if again is None or again.reference.chi2 >= found.final.chi2:
         return explanation
+    return of_mean(replace(explanation, base=again, found=Selected(again.reference, (), (), base.problem)))
+
+
+def refit_with_little(base: Refitted, fit: Fit, causes: Sequence[Cause]) -> Refitted | None:
+    """Return a baseline refitted with parameters and small effects as any unit has them; None where it diverges.
+
+    Args:
+        base: The refitted baseline.
+        fit: Its parameters and states are those to start from.
+        causes: The catalogue.
+    """
+    usual = base.start if base.learned.healthy is not None else with_usual_spread(base.start)
+    values = {**base.start.values, **{n: fit.values[n] for n in usual.prior.names}}
+    state, _ = base.problem.fit_states(values, fit.state)
+    plain = replace(fit, values=values, state=state, nuisance=base.reference.nuisance)
+    start, refit = beside(base.problem, usual, plain, (), causes)
+    if refit.diverged:
+        return None
     learned = base.learned if base.learned.healthy is not None else replace(base.learned, prior=usual.prior)
-    again = replace(base, learned=learned, start=start, reference=fit)
-    return of_mean(replace(explanation, base=again, found=Selected(fit, (), (), base.problem)))
+    return replace(base, learned=learned, start=start, reference=refit)
 
 
 def usual_sizes(start: Baseline, cause: Cause, fit: Fit | None, problem: FitProblem) -> list[Parameter]:

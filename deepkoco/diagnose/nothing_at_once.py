@@ -3,8 +3,9 @@
 The selection takes most of the time of a diagnosis: it compares what is alike, fits classes from many starts and tries
 further causes beside those that it has accepted. Most of it is about names. Explanations are weighed on the refit
 alone (:mod:`deepkoco.diagnose.weighed`), so they can be weighed first. Where "nothing" weighs most, what was selected
-is given up afterwards: it stays in the fit, and no name follows. Then the fit alone is wanted. It takes in the best
-cause of each ranking, whatever is alike, and holds if it leaves only noise.
+is given up afterwards: it stays in the fit, and no name follows. Then the fit alone is wanted. It takes in a little of
+every small effect at once, or the best cause of each ranking, whatever is alike, and holds if it leaves no more than a
+healthy unit does.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,16 +21,27 @@ from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.data_sheet import guessed
 from deepkoco.diagnose.evidence.classes import APART
 from deepkoco.diagnose.evidence.forward import Selection
+from deepkoco.diagnose.evidence.selected import Selected
 from deepkoco.diagnose.explanation import Begun, Explanation, of_mean
+from deepkoco.diagnose.little_of_all import refit_with_little
 from deepkoco.diagnose.probability.answer import Answer
-from deepkoco.diagnose.probability.shadow import Weighing, of_rough_sheet, weighing_of
+from deepkoco.diagnose.probability.shadow import (
+    Weighing,
+    answer_of,
+    log_prior_of_losses,
+    of_rough_sheet,
+    weighing_of,
+)
 from deepkoco.diagnose.refitted import Refitted
 from deepkoco.diagnose.request import DiagnosisRequest
+from deepkoco.diagnose.residuals.residuals import missing_torque
 from deepkoco.diagnose.residuals.whiteness import more_than_noise
+from deepkoco.fit.fit import Fit
 from deepkoco.fit.solve.lazy_batch import MANY
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 
 PLAUSIBLE = math.log(100.0)  # nats behind the best from which an explanation's causes are not tried again
+FAR_ABOVE = 2.0  # chi2 per sample, in floors, of a fit that does not explain a log to its noise
 ROUGH = math.log(0.1 / 0.9)  # log prior odds that a data sheet is rough
 
 
@@ -92,6 +105,43 @@ class Weights:
         return self._rough[0]
 
 
+class Losses(NamedTuple):
+    """Weights of explanations under the commands that acted.
+
+    Attributes:
+        answer: The weights.
+        log_prior: Log prior of the pattern of lost commands.
+    """
+
+    answer: Answer
+    log_prior: float
+
+    @property
+    def top(self) -> float:
+        """The largest log weight, with that of the pattern."""
+        return self.answer.explanations[0].log_weight + self.log_prior
+
+    def outweigh(self, answer: Answer) -> bool:
+        """Return whether they weigh more than what explains the commands that were sent."""
+        return self.top > answer.explanations[0].log_weight
+
+
+def losses_of(request: DiagnosisRequest, base: Refitted, found: Selected) -> Losses:
+    """Weigh explanations under the commands that acted, for a selection with lost commands.
+
+    Args:
+        request: The logs.
+        base: The refit on which explanations are weighed without them.
+        found: The selection.
+
+    Raises:
+        DivergedError: The simulation diverges.
+        LinAlgError: The logs tell nothing of a parameter.
+    """
+    answer = answer_of(request, base, found.acting.windows)
+    return Losses(answer, log_prior_of_losses(found.charge, len(request.causes)))
+
+
 def are_weighed(base: Refitted) -> bool:
     """Return whether explanations are weighed: for units of a model file with few parameters."""
     many = len(base.reference.free) + base.train.state.shape[1] >= MANY
@@ -125,9 +175,9 @@ def nothing_at_once(
 ) -> Explanation | None:
     """Return an explanation for which no name is looked for, if none can be found; else None.
 
-    That needs all of these: "nothing" weighs most, and more than a rough data sheet does; beside the causes that are
-    taken into the fit for their size alone, no more than noise is left; and no pattern of lost commands explains enough
-    beside them.
+    That needs all of these: "nothing" weighs most, and more than a rough data sheet does; a little of every small
+    effect, or the causes that are taken into the fit for their size alone, leave no more than a healthy unit does; and
+    no pattern of lost commands explains enough beside them.
 
     Args:
         request: The logs, and the causes to try.
@@ -142,18 +192,28 @@ def nothing_at_once(
             return None
     except (DivergedError, np.linalg.LinAlgError):
         return None
-    start = base.start
-    quick = Selection(
-        start, base.train, base.held, request.causes, request.detection, request.progress, request.limit
-    )
-    quick.naming = False
-    ranking, found = quick.go_on(at.first)
-    if found.lost is not None or more_than_noise(found.final, base.train, start) is not None:
+    first = at.first
+    little = _refit_with_little(request, base)
+    if little is not None:
+        first = _selection(request, little).first_ranking(
+            little.reference, missing_torque(little.problem, little.reference)
+        )
+        base = replace(little, reference=first.ranking.reference)
+    ranking, found = _selection(request, base).go_on(first)
+    if found.lost is not None and found.plain is not None:
+        request.progress("weighing the lost commands")
+        try:
+            if losses_of(request, at.base, found).outweigh(weights.answer):
+                return None
+        except (DivergedError, np.linalg.LinAlgError):
+            return None
+        found = found.plain
+    if little is None and more_than_noise(found.final, base.train, base.start) is not None:
         return None
     # A cause that is selected is weighed in any case, and so is what is alike.
     alike = {
         c.cause.name
-        for step, _ in found.steps
+        for step in (at.first.ranking, *(own for own, _ in found.steps))
         for c in step.candidates
         if step.best.delta_bic - c.delta_bic < APART
     }
@@ -165,3 +225,31 @@ def nothing_at_once(
         return None
     words = (*unfitted, *ranking.unfitted)
     return of_mean(Explanation(base, ranking, found, joined, words, weights.answer))
+
+
+def _refit_with_little(request: DiagnosisRequest, base: Refitted) -> Refitted | None:
+    """Return the refit with a little of every small effect, where it leaves no more than any unit does; else None.
+
+    A selection takes such effects one by one, and ranks the whole catalogue beside each.
+    """
+    if not request.limit.allows("small effects that any unit has"):
+        return None
+    request.progress("small effects that any unit has")
+    little = refit_with_little(base, base.reference, request.causes)
+    if little is None or is_far_above(little.reference, little):
+        return None
+    return little
+
+
+def is_far_above(fit: Fit, base: Refitted) -> bool:
+    """Return whether a fit leaves so much more than noise that the log cannot be that of a healthy unit."""
+    return fit.chi2 > FAR_ABOVE * base.start.floor * base.train.samples
+
+
+def _selection(request: DiagnosisRequest, base: Refitted) -> Selection:
+    """Return a selection on a refit that wants the fit alone, and no name."""
+    quick = Selection(
+        base.start, base.train, base.held, request.causes, request.detection, request.progress, request.limit
+    )
+    quick.naming = False
+    return quick

@@ -33,11 +33,18 @@ from deepkoco.diagnose.explanation import (
 )
 from deepkoco.diagnose.healthy import extended
 from deepkoco.diagnose.little_of_all import usual_sizes, with_little, with_little_of_all
-from deepkoco.diagnose.nothing_at_once import PLAUSIBLE, Weights, are_weighed, nothing_at_once, weights_before
+from deepkoco.diagnose.nothing_at_once import (
+    PLAUSIBLE,
+    Weights,
+    are_weighed,
+    is_far_above,
+    losses_of,
+    nothing_at_once,
+    weights_before,
+)
 from deepkoco.diagnose.one_cause import is_asked, one_cause
 from deepkoco.diagnose.one_change import one_change
 from deepkoco.diagnose.probability.answer import Answer
-from deepkoco.diagnose.probability.shadow import answer_of, log_prior_of_losses
 from deepkoco.diagnose.request import DiagnosisRequest
 from deepkoco.diagnose.residuals.residuals import dispersion, missing_torque
 from deepkoco.fit.fit import Fit, Trial
@@ -46,7 +53,6 @@ from deepkoco.systems import Parameter
 
 UNKNOWN = "unknown"
 SOME = 0.2  # of that standard deviation, from which a fit needs an effect
-FAR_ABOVE = 2.0  # chi2 per sample, in floors, of a fit that does not explain a log to its noise
 FEW = 3.0  # standard deviations of what any unit has of an effect, up to which a fit has a little of it
 
 
@@ -105,10 +111,9 @@ def weigh(
             before = before.beside(named)
         answer, lossy, charge = before.answer, False, 0.0
         if found.lost is not None:
-            with_losses = answer_of(request, base, found.acting.windows)
-            charge = log_prior_of_losses(found.charge, len(causes))
-            lossy = with_losses.explanations[0].log_weight + charge > answer.explanations[0].log_weight
-            answer = with_losses if lossy else answer
+            losses = losses_of(request, base, found)
+            lossy, charge = losses.outweigh(answer), losses.log_prior
+            answer = losses.answer if lossy else answer
         best, top = answer.explanations[0], answer.explanations[0].log_weight + (charge if lossy else 0.0)
         explanation = replace(explanation, weights=answer)
         if found.plain is not None and not lossy:
@@ -194,8 +199,7 @@ def _nothing(explanation: Explanation, usual: bool = True) -> Explanation:
     deflation = dispersion(found.final, explanation.base.train).deflation
     small = tuple(Minor(c, found.final, None, deflation) for c in found.accepted)
     # Whatever weighs most, a log is not healthy while its simulation leaves far more than noise.
-    samples = explanation.base.train.samples
-    usual = usual and found.final.chi2 <= FAR_ABOVE * explanation.base.start.floor * samples
+    usual = usual and not is_far_above(found.final, explanation.base)
     plain = replace(found, accepted=(), steps=(), minor=(*found.minor, *small), usual=usual)
     return replace(explanation, found=plain)
 

@@ -10,7 +10,6 @@ Source: M-algorithm of sequence detection (Anderson and Mohan 1984, "Sequential 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +20,7 @@ DIFFUSE = 1e8  # prior variance of the initial state of a window, over its poste
 NO_SLOPE = 1e-12  # share of the largest slope below which a direction of the initial state has no effect
 NEAR = 3  # distance [ticks] from a lost tick within which neighbouring ticks are changed together
 MOST_CHANGES = 400  # largest number of changes of a window's pattern
+LEAST_CHANGE = -1e-9  # of the cost, above which a change is rounding
 
 
 class Responses(NamedTuple):
@@ -194,32 +194,80 @@ def _turned_over(
 ) -> np.ndarray:
     """Change single ticks, or neighbouring ticks together, as long as this lowers the cost of the pattern."""
     gram = plain.change.T @ plain.change
-    lost, worth = lost.copy(), np.diff(sent) ** 2 * np.diag(gram) > shows
+    worth = np.diff(sent) ** 2 * np.diag(gram) > shows
     offset = offset_of(sent, lost)
     slope = gram @ offset - plain.residual @ plain.change  # half the slope of the cost by the offsets
+    given = np.array(sent, dtype=float)
+    return _best_turns(gram, given, lost.copy(), worth, offset, slope, float(price), MOST_CHANGES)
 
-    def turned(own: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-        other = lost.copy()
-        other[own] ^= True
-        step = offset_of(sent, other) - offset
-        at = np.flatnonzero(step)
-        fall = step[at] @ gram[np.ix_(at, at)] @ step[at] + 2.0 * step[at] @ slope[at]
-        return float(fall) + price * (int(other.sum()) - int(lost.sum())), other, step
 
-    for _ in range(MOST_CHANGES):
-        for group in _turns(worth, lost):
-            change, other, step = min(map(turned, group), key=lambda t: t[0], default=(0.0, lost, offset))
-            if change < -1e-9:
+@njit(cache=True, error_model="numpy", nogil=True)
+def _best_turns(gram, sent, lost, worth, offset, slope, price, most):
+    """Return the pattern after up to ``most`` changes, each of which lowers its cost most.
+
+    Args:
+        gram: (K, K) inner products of the responses.
+        sent: (K + 1,) commands, including the one before the first tick.
+        lost: (K,) pattern, which is changed in place.
+        worth: (K,) ticks whose loss could show.
+        offset: (K,) offsets of the pattern.
+        slope: (K,) half the slope of the cost by the offsets.
+        price: Cost of a lost tick.
+        most: Largest number of changes.
+    """
+    ticks = len(lost)
+    step, near = np.zeros(ticks), np.zeros(ticks, np.bool_)
+    for _ in range(most):
+        lowest, first, end = 0.0, 0, 0
+        for k in range(ticks):
+            if worth[k] or lost[k]:
+                change = _change(gram, sent, lost, offset, slope, price, k, k + 1, step)
+                if end == 0 or change < lowest:
+                    lowest, first, end = change, k, k + 1
+        if not lowest < LEAST_CHANGE:
+            # Neighbours together, which moves a loss by a tick.
+            near[:] = False
+            for k in np.flatnonzero(lost):
+                near[max(k - NEAR, 0) : k + NEAR + 1] = True
+            end = 0
+            for wide in (2, 3):
+                for k in np.flatnonzero(near):
+                    to = min(k + wide, ticks)
+                    change = _change(gram, sent, lost, offset, slope, price, k, to, step)
+                    if end == 0 or change < lowest:
+                        lowest, first, end = change, k, to
+            if end == 0 or not lowest < LEAST_CHANGE:
                 break
-        else:
-            break
-        lost, offset, slope = other, offset + step, slope + gram @ step
+        _change(gram, sent, lost, offset, slope, price, first, end, step)
+        for k in range(first, end):
+            lost[k] = not lost[k]
+        k = first
+        while k < end or (k < ticks and lost[k]):
+            offset[k] += step[k]
+            for row in range(ticks):
+                slope[row] += gram[row, k] * step[k]
+            k += 1
     return lost
 
 
-def _turns(worth: np.ndarray, lost: np.ndarray) -> Iterator[list[np.ndarray]]:
-    """Groups of ticks to change: single ticks first, then neighbours together, which moves a loss by a tick."""
-    yield [np.array([k]) for k in np.flatnonzero(worth | lost)]
-    near = np.unique(np.flatnonzero(lost)[:, None] + np.arange(-NEAR, NEAR + 1))
-    near = near[(near >= 0) & (near < len(lost))]
-    yield [np.arange(k, min(k + wide, len(lost))) for wide in (2, 3) for k in near]
+@njit(cache=True, error_model="numpy", nogil=True)
+def _change(gram, sent, lost, offset, slope, price, first, end, step):
+    """Return the change of the cost where the ticks from ``first`` to before ``end`` turn; write that of the offsets.
+
+    It reaches as far as the ticks that are lost one after the other: the next one that acts ends it.
+    """
+    acts = sent[first] + (offset[first - 1] if first > 0 else 0.0)
+    change, k = 0.0, first
+    while k < end or (k < len(lost) and lost[k]):
+        turns = k < end
+        if turns:
+            change += -price if lost[k] else price
+        if lost[k] == turns:
+            acts = sent[k + 1]
+        step[k] = acts - sent[k + 1] - offset[k]
+        if step[k] != 0.0:
+            change += step[k] * (2.0 * slope[k] + gram[k, k] * step[k])
+            for other in range(first, k):
+                change += 2.0 * step[k] * gram[k, other] * step[other]
+        k += 1
+    return change
