@@ -21,6 +21,7 @@ from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.data_sheet import guessed
 from deepkoco.diagnose.evidence.classes import APART
 from deepkoco.diagnose.evidence.forward import Selection
+from deepkoco.diagnose.evidence.ranking import Ranking
 from deepkoco.diagnose.evidence.selected import Selected
 from deepkoco.diagnose.explanation import Begun, Explanation, of_mean
 from deepkoco.diagnose.little_of_all import refit_with_little
@@ -103,6 +104,11 @@ class Weights:
         if not self._rough:
             self._rough.append(of_rough_sheet(base.problem, base.reference, base.start, causes) + ROUGH)
         return self._rough[0]
+
+
+def alike_in(ranking: Ranking) -> set[str]:
+    """Return the best cause of a ranking and those that hardly explain less."""
+    return {c.cause.name for c in ranking.candidates if ranking.best.delta_bic - c.delta_bic < APART}
 
 
 class Losses(NamedTuple):
@@ -211,12 +217,7 @@ def nothing_at_once(
     if little is None and more_than_noise(found.final, base.train, base.start) is not None:
         return None
     # A cause that is selected is weighed in any case, and so is what is alike.
-    alike = {
-        c.cause.name
-        for step in (at.first.ranking, *(own for own, _ in found.steps))
-        for c in step.candidates
-        if step.best.delta_bic - c.delta_bic < APART
-    }
+    alike = {n for step in (at.first.ranking, *(own for own, _ in found.steps)) for n in alike_in(step)}
     try:
         weights = weights.beside(alike)
     except (DivergedError, np.linalg.LinAlgError):

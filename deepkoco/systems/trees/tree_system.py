@@ -145,7 +145,7 @@ class TreeSystem(System):
         except TreeError as error:
             raise TreeError(f"{path}: {error}") from None
         # A URDF file is of no engine: the steps and the softness that its reader takes are nobody's statement.
-        engine = None if path.suffix.lower() == ".urdf" else tree.engine
+        engine = tree.engine
         return cls(replace(tree, notes=(*notes, *tree.notes), engine=engine), str(path), settings)
 
     commands = property(lambda self: self._commands)
