@@ -64,17 +64,37 @@ def innovations(
     rows, size, _ = np.linalg.svd(state[order], full_matrices=False)
     rows = rows[:, size > NO_SLOPE * size.max(initial=0.0)]
     both = np.column_stack([change[order], residual[order]])
-    covariance = DIFFUSE * np.eye(rows.shape[1])
-    mean = np.zeros((rows.shape[1], both.shape[1]))
-    for k, row in enumerate(rows):
-        spread = covariance @ row
-        variance = 1.0 + row @ spread
-        innovation = both[k] - row @ mean
-        mean += np.outer(spread / variance, innovation)
-        covariance -= np.outer(spread, spread) / variance
-        both[k] = innovation / math.sqrt(variance)
+    _take_out(np.ascontiguousarray(rows), both)
     until = np.append(np.searchsorted(t[order], ticks[1:]), len(t))
     return Responses(both[:, :-1], both[:, -1], until)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _take_out(rows, both):
+    """Replace columns by their innovations, sample after sample.
+
+    Args:
+        rows: (S, n) derivatives of the samples by an unknown constant state.
+        both: (S, K) columns; the result.
+    """
+    samples, states = rows.shape
+    columns = both.shape[1]
+    covariance, mean = DIFFUSE * np.eye(states), np.zeros((states, columns))
+    for k in range(samples):
+        row = rows[k]
+        spread = covariance @ row
+        variance = 1.0 + row @ spread
+        root = math.sqrt(variance)
+        for c in range(columns):
+            innovation = both[k, c]
+            for i in range(states):
+                innovation -= row[i] * mean[i, c]
+            for i in range(states):
+                mean[i, c] += spread[i] / variance * innovation
+            both[k, c] = innovation / root
+        for i in range(states):
+            for j in range(states):
+                covariance[i, j] -= spread[i] * spread[j] / variance
 
 
 def held_over(sent: np.ndarray, lost: np.ndarray) -> np.ndarray:
