@@ -1,12 +1,13 @@
-"""Whether logs are of a machine, or of a simulation by the engine of its model file, and in which steps.
+"""Whether logs are of a machine, or of a simulation by an engine, and in which steps.
 
 A joint of a real robot sticks, and commands act when they arrive. In MuJoCo a joint under load creeps below its
 ``frictionloss``, and commands act half a step early: a good encoder shows both. There a log of a healthy simulated
 robot has a friction and a delay that no machine has, and which the catalogue would name. The logs decide: a simulation
 is that of the engine where a refit with it leaves less. Whoever made the logs may have taken other steps than those of
-the file. What the engine does early or late is a share of its step, so a parabola through three steps tells the step. A
-hidden cause, such as a delay of commands, may decide wrongly there; so the question is asked once more beside the
-causes that were found (:mod:`deepkoco.diagnose.the_other_way`).
+the file. What the engine does early or late is a share of its step, so a parabola through three steps tells the step.
+An engine of rigid bodies has such steps too, with a friction that holds; they leave only noise of its logs. A hidden
+cause, such as a delay of commands, may decide wrongly there; so the question is asked once more beside the causes that
+were found (:mod:`deepkoco.diagnose.the_other_way`).
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from deepkoco.fit.data.windows import cut_windows, estimate_channels, moving
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import System
+from deepkoco.systems.engine_names import MUJOCO, SEMI_IMPLICIT
 
 SOME = 16  # windows that decide
 # Fall of the cost, in noise variances that the engine leaves, from which it counts. Logs without rest and with much
@@ -36,6 +38,8 @@ FAR = 1000.0  # noise variances, from which the logs say nothing of steps either
 NOISE = 1.2  # noise variances that a simulation leaves of its own logs
 LONGEST = 4.0  # step that is looked for, over that of the file
 DIGITS = 2  # of a step that is found
+PARABOLAS = 5  # in turn, where nobody stated a step
+SAME = 0.02  # relative difference of steps that logs hardly tell
 
 log = logging.getLogger(__name__)
 
@@ -69,11 +73,11 @@ def as_engine_if_shown(
         length: Of the windows [s].
         learned: Baseline from healthy logs, which have decided; None for none.
     """
-    if system.engine is not None or system.with_engine() is None:
-        return system  # a file says that it is of an engine, or it has none
+    if system.engine is not None or not system.engines:
+        return system  # a file says that it is of an engine, or there is none
     if learned is not None:
         of_learned = learned.system
-        own = None if of_learned.engine is None else system.with_engine(step=of_learned.engine_step)
+        own = system.with_engine(of_learned.engine, of_learned.engine_step)
         return system if own is None else own
     windows = cut_windows(recordings, system, length, estimate_channels(recordings, system))
     windows = windows.take(moving(windows)) if len(windows) else windows
@@ -96,37 +100,81 @@ def as_engine_if_shown(
 
 
 def closest(machine: S, left: Callable[[S], Left]) -> S:
-    """Return the machine, or its simulation by the engine of its file in the steps that leave least of logs.
+    """Return the machine, or its simulation by an engine in the steps that leave least of logs.
 
     Args:
-        machine: Simulated as a machine; its file has an engine.
+        machine: Simulated as a machine; it has engines.
         left: What a simulation leaves of the logs.
 
     Raises:
         DivergedError: A simulation diverges.
     """
-    of_file = machine.with_engine()
+    held = left(machine)
+    own, found = _as_in_file(machine, left, held) if MUJOCO in machine.engines else (held, machine)
+    if SEMI_IMPLICIT in machine.engines and NOISE < own.per_sample <= FAR:
+        with contextlib.suppress(DivergedError):
+            again, rigid = _as_rigid(machine, left, held)
+            # The logs choose the steps, too, which a bad model could use; so they have to leave only noise.
+            if again.per_sample <= NOISE and again.less_than(own):
+                return rigid
+    return found
+
+
+def _as_in_file(machine: S, left: Callable[[S], Left], held: Left) -> tuple[Left, S]:
+    """What is left and its system: the machine, or its simulation by the engine of its file where that is closer."""
+    of_file = machine.with_engine(MUJOCO)
     assert of_file is not None
     assert of_file.engine_step is not None
-    held, best, simulated = left(machine), left(of_file), of_file
+    best, simulated = left(of_file), of_file
     log.debug("%s: %s as a machine, %s as in %s", machine.name, held, best, of_file.engine)
     if NOISE < min(best.per_sample, held.per_sample) <= FAR:
         step = of_file.engine_step
         with contextlib.suppress(DivergedError):  # the step of the file then stands
             costs = {step: best.cost}
             for share in (0.5, 0.0):
-                costs[share * step] = left(_in_steps(machine, share * step)).cost
-            told = _least(costs)
-            other = _in_steps(machine, told)
+                costs[share * step] = left(_in_steps(machine, MUJOCO, share * step)).cost
+            other = _in_steps(machine, MUJOCO, _least(costs))
             again = left(other)
-            log.debug("%s: %s in steps of %.3g s, costs %s", machine.name, again, told, costs)
+            log.debug("%s: %s in steps of %.3g s, costs %s", machine.name, again, other.engine_step, costs)
             if again.less_than(best):
                 simulated, best = other, again
-    return simulated if best.per_sample <= NEAR and best.less_than(held) else machine
+    is_close = best.per_sample <= NEAR and best.less_than(held)
+    return (best, simulated) if is_close else (held, machine)
 
 
-def _in_steps(machine: S, step: float) -> S:
-    simulated = machine.with_engine(step=step)
+def _as_rigid(machine: S, left: Callable[[S], Left], held: Left) -> tuple[Left, S]:
+    """What is left in semi-implicit steps of the best length, and their system; a step of 0 is the machine.
+
+    Raises:
+        DivergedError: A simulation diverges.
+    """
+    usual = machine.with_engine(SEMI_IMPLICIT)
+    assert usual is not None
+    assert usual.engine_step is not None
+    half = 0.5 * usual.engine_step
+    systems = {0.0: machine, half: _in_steps(machine, SEMI_IMPLICIT, half)}
+    found = {0.0: held, half: left(systems[half])}
+    if found[half].cost >= held.cost:
+        return held, machine
+    wanted = 2.0 * half
+    # A parabola from 0 to 1 ms tells 4 ms roughly, and the next ones better.
+    for _ in range(PARABOLAS):
+        systems[wanted] = _in_steps(machine, SEMI_IMPLICIT, wanted)
+        found[wanted] = left(systems[wanted])
+        near = sorted(found, key=lambda step: found[step].cost)[:3]
+        wanted = _least({step: found[step].cost for step in near})
+        if any(abs(wanted - step) <= SAME * step for step in found):
+            break
+    # Each fit started at the parameters of another step, which may be far.
+    for step in sorted(found, key=lambda step: found[step].cost)[:2]:
+        found[step] = min(found[step], left(systems[step]), key=lambda own: own.cost)
+    best = min(found, key=lambda step: found[step].cost)
+    log.debug("%s: in semi-implicit steps %s", machine.name, found)
+    return found[best], systems[best]
+
+
+def _in_steps(machine: S, name: str, step: float) -> S:
+    simulated = machine.with_engine(name, step)
     assert simulated is not None
     return simulated
 

@@ -34,8 +34,8 @@ def the_other_way(
     """
     base, found = explanation.base, explanation.found
     now = base.start.system
-    machine = now if now.engine is None else now.with_engine(False)
-    if machine is None or machine.with_engine() is None:
+    machine = now if now.engine is None else now.with_engine(None)
+    if machine is None or not machine.engines:
         return request, explanation
     if base.learned.healthy is not None or base.start.tempering > 1.0:
         return request, explanation
@@ -49,10 +49,8 @@ def the_other_way(
         return request, explanation
     if other is None:
         return request, explanation
-    request.progress(
-        "again, " + ("as a machine" if other.engine is None else f"as {other.engine} simulates it")
-    )
-    system = request.system.with_engine(other.engine is not None, other.engine_step)
+    request.progress("again, " + ("as a machine" if other.engine is None else f"in {other.engine} steps"))
+    system = request.system.with_engine(other.engine, other.engine_step)
     assert system is not None
     train = request.data.train
     try:

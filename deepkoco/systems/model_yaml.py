@@ -107,7 +107,7 @@ def _in_engine(document: dict[str, Any], base: System) -> System:
         raise ValueError(
             f"engine_step: {step!r} is no time in s (0.0002 or 2.0e-4); leave this key out for the step of the file"
         )
-    found = base.with_engine(step=None if step is None else float(step))
+    found = base.with_engine(name, None if step is None else float(step))
     if found is None or found.engine != name:
         raise ValueError(f'engine: {base.name} is simulated by no "{name}"; leave this key out')
     return found

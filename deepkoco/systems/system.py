@@ -17,6 +17,7 @@ from deepkoco.systems.declared import Declared
 from deepkoco.systems.drawn import Drawn
 from deepkoco.systems.drives import Drive, drives_of
 from deepkoco.systems.dry_friction import DryFriction, Levels
+from deepkoco.systems.engine_names import MUJOCO
 from deepkoco.systems.joint_memory import JointMemory
 from deepkoco.systems.motion import Acceleration, InverseInertia, Motion, PayloadWay
 from deepkoco.systems.named_joints import NamedJoints
@@ -224,8 +225,13 @@ class System(SignalPath, NamedJoints, Drawn, metaclass=Declared):
         return {}
 
     @property
+    def engines(self) -> tuple[str, ...]:
+        """Engines that may have simulated its logs (:mod:`.engine_names`), that of its file first."""
+        return ()
+
+    @property
     def engine(self) -> str | None:
-        """Engine whose steps and friction it is simulated with along logs, ``"MuJoCo"``; None for a real machine."""
+        """Engine whose steps and friction it is simulated with along logs; None for a real machine."""
         return None
 
     @property
@@ -233,14 +239,14 @@ class System(SignalPath, NamedJoints, Drawn, metaclass=Declared):
         """Step of that engine [s]; None for a real machine."""
         return None
 
-    def with_engine(self, on: bool = True, step: float | None = None) -> Self | None:
-        """The system as the engine of its file simulates it; None if it is so in this step already, or has no engine.
+    def with_engine(self, name: str | None = MUJOCO, step: float | None = None) -> Self | None:
+        """The system as an engine simulates it; None if it is so in this step already, or is not among `engines`.
 
-        Friction then creeps, see :mod:`deepkoco.systems.creep`, and commands act as early as in the engine's steps.
+        Commands act as early as in the engine's steps; in MuJoCo friction creeps (:mod:`deepkoco.systems.creep`).
 
         Args:
-            on: False for the machine of a system that is simulated so.
-            step: Of the engine [s]; None: that of the file.
+            name: Of the engine; None for the machine of a system that is simulated so.
+            step: Of the engine [s]; None: that of the file, and where it has none, 1 / 240.
         """
         return None
 

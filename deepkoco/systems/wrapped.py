@@ -13,6 +13,7 @@ from deepkoco.systems.channel import Channel
 from deepkoco.systems.drawn import Outline
 from deepkoco.systems.drives import Drive
 from deepkoco.systems.dry_friction import DryFriction, Levels
+from deepkoco.systems.engine_names import MUJOCO
 from deepkoco.systems.joint_memory import JointMemory
 from deepkoco.systems.motion import Acceleration, CommandTiming, Delivery, InverseInertia, PayloadWay, Timing
 from deepkoco.systems.parameter import Parameter, Parameters
@@ -179,6 +180,10 @@ class WrappedSystem(System):
         return self.base.bodies
 
     @property
+    def engines(self) -> tuple[str, ...]:
+        return self.base.engines
+
+    @property
     def engine(self) -> str | None:
         return self.base.engine
 
@@ -186,8 +191,8 @@ class WrappedSystem(System):
     def engine_step(self) -> float | None:
         return self.base.engine_step
 
-    def with_engine(self, on: bool = True, step: float | None = None) -> Self | None:
-        base = self.base.with_engine(on, step)
+    def with_engine(self, name: str | None = MUJOCO, step: float | None = None) -> Self | None:
+        base = self.base.with_engine(name, step)
         if base is None:
             return None
         wrapped = copy(self)

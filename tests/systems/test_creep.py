@@ -196,7 +196,9 @@ def test_an_environment_creeps_as_a_simulation_along_a_log(head):
 def test_a_model_file_keeps_the_kind_of_friction(head, tmp_path):
     extended = ExtendedSystem(head, ("coulomb(pan)",), {"coulomb(pan).torque": 0.05})
     as_file, fine = extended.with_engine(), extended.with_engine(step=1e-4)
-    for system, name in ((extended, "holds.yaml"), (as_file, "creeps.yaml"), (fine, "in_fine_steps.yaml")):
+    rigid = extended.with_engine("semi-implicit", 0.004)
+    named = ((extended, "holds"), (as_file, "creeps"), (fine, "in_fine_steps"), (rigid, "rigid"))
+    for system, name in ((own, f"{stem}.yaml") for own, stem in named):
         save_model(tmp_path / name, system)
         read = load_model(tmp_path / name)
         assert (read.engine, read.engine_step) == (system.engine, system.engine_step)

@@ -9,6 +9,7 @@ import numpy as np
 
 from deepkoco.fit.data.noise import Noise
 from deepkoco.systems import System
+from deepkoco.systems.engine_names import MUJOCO
 
 DWELL = 0.1  # share of a window over which rest is tested
 REST = 5.0  # peak-to-peak motion, in noise standard deviations, below which a joint rests for that time
@@ -34,7 +35,7 @@ def resting_stamps(
 
     A joint whose friction creeps never rests: a simulation follows it there, too.
     """
-    if not system.dry_friction or system.engine is not None:
+    if not system.dry_friction or system.engine == MUJOCO:
         return None
     found = []
     for channel, state, own in zip(system.measurements, system.measured_states, noise, strict=True):

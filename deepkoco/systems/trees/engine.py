@@ -1,6 +1,6 @@
-"""How MuJoCo simulates a tree: how softly dry friction holds its joints, and when commands act within its steps.
+"""How engines simulate a tree: how softly dry friction holds its joints, and when commands act within their steps.
 
-Its semi-implicit steps v' = v + h a(q, v, u), q' = q + h v' are q(t + h) - 2 q(t) + q(t - h) = h^2 a: a command that is
+Semi-implicit steps v' = v + h a(q, v, u), q' = q + h v' are q(t + h) - 2 q(t) + q(t - h) = h^2 a: a command that is
 held from t to t + h acts on the motion from t - h / 2 to t + h / 2. Half a step at 2 rad/s is 2 mrad with the default
 step of 2 ms, which a good encoder shows. The speed in a is that of t - h / 2, and that of t + h / 2 for a damping that
 is integrated implicitly. A damping D that is ahead of the other loads by h is -D (v + h q''): an armature of D h. Steps
@@ -17,6 +17,7 @@ from torch import Tensor
 
 from deepkoco.systems.creep import Creep
 from deepkoco.systems.dry_friction import DryFriction
+from deepkoco.systems.engine_names import MUJOCO, SEMI_IMPLICIT
 from deepkoco.systems.motion import Acceleration, Motion
 from deepkoco.systems.trees.dynamics import Inertia, inverse_mass
 from deepkoco.systems.trees.mujoco_library import Model, mujoco_library
@@ -26,7 +27,8 @@ from deepkoco.systems.trees.stiffness import larger
 from deepkoco.systems.trees.tree import Actuator, Engine, Joint, Softness
 
 LARGEST_SHARE = 0.5  # of the inertia that a joint moves, which a damping below 0 may take off
-AS_ENGINE = "simulated as MuJoCo does it, not as a machine"
+NO_MACHINE = "not as a machine"
+USUAL_STEP = 1.0 / 240.0  # of Bullet, where no file states one [s]
 LEAST_IMPEDANCE, MOST_IMPEDANCE = 1e-4, 0.9999  # mjMINIMP, mjMAXIMP
 
 
@@ -82,7 +84,17 @@ def said_of(engine: Engine | None) -> tuple[str, ...]:
     does = ["dry friction creeps"] if engine.softness is not None else []
     does += ["commands act half a step early"] if engine.lead > 0.0 else []
     long = f"in steps of {1e3 * engine.step:.3g} ms" if engine.step > 0.0 else "in steps too short to show"
-    return (f"{AS_ENGINE}: {long} {' and '.join(does) or 'it moves as a machine'}",)
+    who = "MuJoCo does it" if engine.name == MUJOCO else "engines of rigid bodies do it (Bullet)"
+    return (f"simulated as {who}, {NO_MACHINE}: {long} {' and '.join(does) or 'it moves as a machine'}",)
+
+
+def semi_implicit(step: float) -> Engine:
+    """Rigid bodies in semi-implicit steps, with explicit loads and a dry friction that holds.
+
+    Args:
+        step: Of the engine [s].
+    """
+    return Engine(None, step, 0.5, 0.5, 0.5, name=SEMI_IMPLICIT)
 
 
 def ahead(

@@ -7,6 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from deepkoco.systems.engine_names import MUJOCO
+
 CLOSE = 1e-14  # entries of rotations that are this close to 0 or 1 are meant to be
 
 Vector = tuple[float, float, float]
@@ -153,7 +155,7 @@ class Softness(NamedTuple):
 
 @dataclass(frozen=True)
 class Engine:
-    """What a simulation of a tree by the engine of its file does, and a machine does not.
+    """What a simulation of a tree by an engine does, and a machine does not.
 
     Attributes:
         softness: How softly dry friction holds each joint with the shortest of steps; None where it holds.
@@ -162,6 +164,7 @@ class Engine:
         steps_late: Steps by which the speeds in all loads are late; below 0: early.
         steps_behind: Steps by which a speed that the engine shows is behind the position beside it.
         joints_ahead, drives_ahead: Steps by which the damping of joints, and of servos, is ahead of these speeds.
+        name: Of :mod:`deepkoco.systems.engine_names`.
     """
 
     softness: tuple[Softness, ...] | None
@@ -171,6 +174,7 @@ class Engine:
     steps_behind: float = 0.0
     joints_ahead: float = 0.0
     drives_ahead: float = 0.0
+    name: str = MUJOCO
 
     @property
     def lead(self) -> float:

@@ -17,6 +17,7 @@ from deepkoco.systems.drawn import Outline
 from deepkoco.systems.drives import AS_A_LOAD
 from deepkoco.systems.dry_friction import DryFriction, Levels
 from deepkoco.systems.effects.effect import Effect
+from deepkoco.systems.engine_names import MUJOCO, SEMI_IMPLICIT
 from deepkoco.systems.extended import MemoryEffectError
 from deepkoco.systems.motion import (
     Acceleration,
@@ -34,7 +35,16 @@ from deepkoco.systems.trees.base_tilt import tilt_parameters, turned_gravity
 from deepkoco.systems.trees.channels import command_channels, joint_channels, refuse_clashes
 from deepkoco.systems.trees.compile_tree import compile_tree
 from deepkoco.systems.trees.dynamics import inverse_mass, mass_matrix
-from deepkoco.systems.trees.engine import AS_ENGINE, ahead, creeping, said_of, softness_in, with_late_speeds
+from deepkoco.systems.trees.engine import (
+    NO_MACHINE,
+    USUAL_STEP,
+    ahead,
+    creeping,
+    said_of,
+    semi_implicit,
+    softness_in,
+    with_late_speeds,
+)
 from deepkoco.systems.trees.equations import Numbers, Steadying, actuators_of_joints, equations_of_motion
 from deepkoco.systems.trees.fast import TreeArrays
 from deepkoco.systems.trees.geometry import geometry_parameters
@@ -144,9 +154,7 @@ class TreeSystem(System):
             tree = compile_tree(model, path.stem)
         except TreeError as error:
             raise TreeError(f"{path}: {error}") from None
-        # A URDF file is of no engine: the steps and the softness that its reader takes are nobody's statement.
-        engine = tree.engine
-        return cls(replace(tree, notes=(*notes, *tree.notes), engine=engine), str(path), settings)
+        return cls(replace(tree, notes=(*notes, *tree.notes)), str(path), settings)
 
     commands = property(lambda self: self._commands)
     bodies = property(lambda self: self._grows_with_mass)
@@ -249,19 +257,22 @@ class TreeSystem(System):
         added = ahead(engine, self.tree.actuators, self._steadying.least_inertias, own.passive, own.laws)
         return creeping(friction, softness, own.joints, own.inertias, own.passive["armature"], added)
 
-    engine = property(lambda self: None if self._steadying.engine is None else "MuJoCo")
+    engines = property(lambda self: (SEMI_IMPLICIT,) if self.tree.engine is None else (MUJOCO, SEMI_IMPLICIT))
+    engine = property(lambda self: None if self._steadying.engine is None else self._steadying.engine.name)
     engine_step = property(
         lambda self: None if self._steadying.engine is None else self._steadying.engine.step
     )
 
-    def with_engine(self, on: bool = True, step: float | None = None) -> Self | None:
-        own = self.tree.engine if on else None
+    def with_engine(self, name: str | None = MUJOCO, step: float | None = None) -> Self | None:
+        own = self.tree.engine if name == MUJOCO else None
+        if name == SEMI_IMPLICIT:
+            own = semi_implicit(USUAL_STEP if self.tree.engine is None else self.tree.engine.step)
         engine = own if own is None or step is None else replace(own, step=step)
-        if engine == self._steadying.engine:
+        if engine == self._steadying.engine or (name is not None and engine is None):
             return None
         other = copy(self)
         other._steadying = self._steadying._replace(engine=engine)
-        other.notes = (*(n for n in self.notes if not n.startswith(AS_ENGINE)), *said_of(engine))
+        other.notes = (*(n for n in self.notes if not NO_MACHINE not in n), *said_of(engine))
         return other
 
     def accelerations(self, parameters: Parameters) -> Acceleration:

@@ -81,6 +81,20 @@ def test_a_tree_moves_as_in_the_steps_of_mujoco(tmp_path, integrator, flag):
     assert ours[:2].max() < 1e-4 * np.abs(truth[:, :2]).max()
 
 
+def test_a_tree_in_semi_implicit_steps_moves_as_rigid_bodies_do(tmp_path):
+    text = ARM.format("Euler", "disable")
+    (tmp_path / "arm.xml").write_text(text)
+    machine, truth = load_system(tmp_path / "arm.xml"), in_mujoco(text)
+    simulated = machine.with_engine("semi-implicit")
+    assert (simulated.engine, simulated.engine_step) == ("semi-implicit", 0.004)
+    assert any("Bullet" in note for note in simulated.notes)
+    error = np.abs(in_ours(simulated, 0.004) - truth)[:, :2].max()
+    assert error < 0.05 * np.abs(in_ours(machine, 0.004) - truth)[:, :2].max()
+    back = simulated.with_engine(None)
+    assert (back.engine, back.notes) == (None, machine.notes)
+    assert machine.with_engine("PhysX") is None
+
+
 def test_steps_of_runge_kutta_are_those_of_a_machine(tmp_path):
     (tmp_path / "arm.xml").write_text(ARM.format("RK4", "enable"))
     machine = load_system(tmp_path / "arm.xml")
