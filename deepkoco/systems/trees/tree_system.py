@@ -272,7 +272,7 @@ class TreeSystem(System):
             return None
         other = copy(self)
         other._steadying = self._steadying._replace(engine=engine)
-        other.notes = (*(n for n in self.notes if not NO_MACHINE not in n), *said_of(engine))
+        other.notes = (*(n for n in self.notes if NO_MACHINE not in n), *said_of(engine))
         return other
 
     def accelerations(self, parameters: Parameters) -> Acceleration:
