@@ -81,6 +81,7 @@ def diagnosis_of(request: DiagnosisRequest, explanation: Explanation, judgement:
             base.reference,
             base.reference.free,
             deflation,
+            base.start.narrowed,
             scale_variance(base.start, base.reference),
         ),
         model=_model(request, explanation, judgement),
@@ -324,7 +325,8 @@ def _written(explanation: Explanation, judgement: Judgement) -> dict[str, Estima
     problem, deflation = base.problem, judgement.left.deflation
     if (midway := judgement.midway) is not None:
         problem, fit, deflation = midway.problem, midway.later, midway.deflation
-    own = estimates(problem, fit, base.reference.free, deflation, scale_variance(base.start, fit))
+    scales, narrowed = scale_variance(base.start, fit), base.start.narrowed
+    own = estimates(problem, fit, base.reference.free, deflation, narrowed, scales)
     if judgement.final is not base.reference:
         wide = over_classes(own, found.acting, found.accepted, found.steps)
         own = over_colour(wide, own, found.acting, judgement.coloured)
