@@ -67,12 +67,7 @@ def with_values_off_the_sheet(
         Both as they are, or with the cause where it is confirmed.
     """
     base = explanation.base
-    if (
-        judgement.verdict != "nothing"
-        or base.learned.healthy is not None
-        or base.start.tempering > 1.0
-        or explanation.found.lost is not None
-    ):
+    if judgement.verdict != "nothing" or base.learned.healthy is not None or base.start.tempering > 1.0:
         return explanation, judgement
     asked = explanation
     best = off_the_sheet(asked, _least(request, asked))
