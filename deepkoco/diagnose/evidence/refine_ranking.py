@@ -121,8 +121,8 @@ def classed(
     ``LEAST_SHARE`` of the whole, it only describes the form of the simpler one. Dry friction is an example, of which a
     log shows some excess near standstill. A simpler cause of its own family and class leads, too, unless the error in
     held-out windows is larger with it: a model error can favour the one or the other form in the windows that are
-    fitted. Where only noise is left, a simpler cause of its family that explains as much leads unless the BIC tells them
-    apart: the breakaway of a dry friction is then too small to be told from none.
+    fitted. Where only noise is left, a simpler cause of its family that explains as much leads unless the BIC tells
+    them apart: the breakaway of a dry friction is then too small to be told from none.
 
     Args:
         problem: The windows.
