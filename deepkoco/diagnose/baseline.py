@@ -109,6 +109,14 @@ class Baseline:
         """Smallest deflation on any log of this unit: floor times correlation."""
         return self.floor * self.correlation
 
+    @property
+    def narrowed(self) -> float:
+        """Factor by which its prior is narrower, as a variance, than it was stated, so that it counts as residuals do.
+
+        It is infinite beside several healthy logs: the fits of their mean do not keep what their own data tell.
+        """
+        return math.inf if self.runs is not None else self.correlation * self.tempering * self.narrowing
+
     def most_noise(self, windows: Windows, deviations: float = MAX_CHI2_SD) -> float:
         """chi2 per sample of a log above which it contains more than this unit leaves when nothing is wrong.
 

@@ -60,6 +60,7 @@ class Fit:
         history: Cost after every iteration.
         converged: Whether the last step was below the tolerance.
         exact: Whether covariance, information and curvature belong to these values, not to an earlier point of the fit.
+        narrowed: Factor by which its prior is narrower, as a variance, than that of the other fits.
     """
 
     name: str
@@ -76,6 +77,7 @@ class Fit:
     history: list[float] = field(default_factory=list)
     converged: bool = False
     exact: bool = True
+    narrowed: float = 1.0
 
     @property
     def diverged(self) -> bool:

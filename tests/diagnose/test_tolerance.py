@@ -180,6 +180,19 @@ def test_simpler_form_of_a_friction_leads_its_class_unless_held_out_windows_show
     assert set(members) == set(scores)
 
 
+@pytest.mark.parametrize(
+    ("behind", "first"), [(0.5 * APART, "coulomb"), (1.5 * APART, "stribeck")], ids=["alike", "told apart"]
+)
+def test_a_shape_that_noise_may_have_made_does_not_lead_its_simpler_form(stage, behind, first):
+    problem, start, _ = stage
+    # A gain is as simple and explains as much, but it is no form of friction.
+    ranking = ranking_of(stage, 1.0, {"stribeck": 1000.0, "gain": 998.0, "coulomb": 997.0})
+    scores = {"stribeck": 200.0, "gain": 200.0 - 0.9 * behind, "coulomb": 200.0 - behind}
+    candidates = [replace(c, delta_bic=scores[c.cause.name]) for c in ranking.candidates]
+    found, members = classed(problem, start, replace(ranking, candidates=tuple(candidates)), ())
+    assert found.best.cause.name == members[0] == first
+
+
 def test_only_candidates_that_may_belong_to_a_class_are_fitted_to_its_winner(stage, monkeypatch):
     problem, start, _ = stage
     ranking = ranking_of(

@@ -9,7 +9,9 @@ import torch
 from scipy.signal import lfilter
 
 from deepkoco.diagnose.per_log_refits import floor_variance
-from deepkoco.diagnose.residuals import white_limit
+from deepkoco.diagnose.residuals import coloured_from, white_limit
+from deepkoco.diagnose.residuals.residuals import structured_from
+from deepkoco.fit import Noise
 
 SAMPLES, SHARE = 1500, 0.9
 
@@ -57,3 +59,26 @@ def test_floors_of_healthy_logs_that_differ_widen_the_limit():
 def test_floors_that_differ_by_chance_do_not_widen_the_limit():
     spreads: Any = [SimpleNamespace(chi2_per_sample=x, correlation=20.0) for x in (0.95, 1.0, 1.05)]
     assert floor_variance(spreads, [1000] * 3) == 0.0
+
+
+def lag_one(residual: np.ndarray) -> float:
+    return float((residual[1:] * residual[:-1]).mean() / np.square(residual).mean())
+
+
+def test_what_a_simulation_cannot_follow_may_be_alike_in_neighbours():
+    # Rounded commands move a joint by 0.8 noise deviations, the encoder scatters by 0.6.
+    rng = np.random.default_rng(1)
+    residual = 0.6 * rng.standard_normal(SAMPLES) + 0.8 * correlated_noise(1, SAMPLES)[0]
+    windows = windows_of(SAMPLES)
+    windows.noise = (Noise(1e-6, 0.0, 0.8e-6),)
+    assert coloured_from(windows) < lag_one(residual) < structured_from(windows, np.square(residual).mean())
+    # The same noise of a sensor alone would be white.
+    windows.noise = (Noise(1e-6, 0.0),)
+    assert structured_from(windows, 1.0) == coloured_from(windows)
+
+
+def test_structure_that_is_larger_than_what_a_simulation_cannot_follow_is_seen():
+    residual = 3.0 * correlated_noise(1, SAMPLES)[0]
+    windows = windows_of(SAMPLES)
+    windows.noise = (Noise(1e-6, 0.0, 0.8e-6),)
+    assert lag_one(residual) > structured_from(windows, np.square(residual).mean())

@@ -40,6 +40,7 @@ class Hint(NamedTuple):
     chi2: float  # chi2 per sample of the refitted baseline
     missing: MissingTorque | None  # missing load of the refitted baseline at this joint
     strained: bool = False  # whether the refitted baseline is far from its prior
+    interval: float = 0.0  # time from one command to the next [s]
 
 
 Axis = Literal["omega", "theta", "command", "time", "command_rate"]

@@ -8,9 +8,13 @@ from deepkoco.diagnose.causes.cause import Cause, Hint, Motion
 from deepkoco.diagnose.causes.tolerance import of_clock, of_sample, of_stamps
 from deepkoco.diagnose.residuals.scatter import jitter
 from deepkoco.systems import System
+from deepkoco.systems.effects.timing import LONGEST
 
 # Fits of a long delay from 0 stop in local minima, so they also start from longer delays [s].
 STARTS = (0.0, 0.03, 0.08)
+# Time from one command to the next for which these are meant [s]. Commands come less often where the machine is slower.
+USUAL_INTERVAL = 0.01
+LONGER = 1.5  # times the longest of them from which a start is another one
 
 
 def _rate(motion: Motion) -> np.ndarray:
@@ -23,7 +27,9 @@ def _all_others(system: System, channel: int) -> tuple[int, ...]:
 
 def _starts(name: str):
     def starts(hint: Hint) -> list[dict[str, float]]:
-        return [{name: value} for value in STARTS]
+        scaled = [hint.interval / USUAL_INTERVAL * value for value in STARTS]
+        longer = [value for value in scaled if LONGER * STARTS[-1] < value < LONGEST]
+        return [{name: value} for value in (*STARTS, *longer)]
 
     return starts
 

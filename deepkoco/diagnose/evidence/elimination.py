@@ -9,6 +9,7 @@ import numpy as np
 
 from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause, kind_of
+from deepkoco.diagnose.evidence.absorbed import alike
 from deepkoco.diagnose.evidence.flexible import BENDING, FLEXIBLE_CAUSES, PUSHES
 from deepkoco.diagnose.evidence.priors import prior_with
 from deepkoco.diagnose.evidence.ranking import penalty
@@ -211,6 +212,9 @@ def without_kinds(
 def without(problem: FitProblem, start: Baseline, kept: Sequence[Cause], cause: Cause, fit: Fit) -> Trial:
     """Return a trial with all causes but one; it starts from the fit of all of them.
 
+    A parameter that does the same takes up what the cause was. A fit from a friction as stated, which is half of what
+    is there, would end between the two in a log whose joint sticks.
+
     Args:
         problem: The windows.
         start: The baseline.
@@ -225,5 +229,6 @@ def without(problem: FitProblem, start: Baseline, kept: Sequence[Cause], cause: 
     else:
         own = {n for n in start.values if n.startswith(f"{cause.effect}.")}
         values |= {n: start.values[n] for n in own.union(cause.free)}
+        values |= dict([*alike(problem, fit, cause, start.values).items()][:1])
     prior = prior_with(problem, start, others, values)
     return Trial(cause.name, prior.names, prior, values, fit.state, fit.nuisance)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from deepkoco.diagnose.evidence.screening import StartPoint
+from deepkoco.diagnose.evidence.screening import WORTH, StartPoint
 
-WORTH = 8.0  # promised fall of the cost from which a cause is fitted
 MIN_OF_BEST_CAUSE = 0.2  # share of the largest promise of all causes from which a cause is fitted
 MIN_OF_BEST_START = 0.3  # share of a cause's largest promise that its further starts need
 STARTS = 3  # largest number of starts of one cause

@@ -46,4 +46,4 @@ def in_proportion(problem: FitProblem, start: Baseline, accepted: Sequence[Cause
     found = problem.fit([Trial(fit.name, fit.free, prior, fit.values, fit.state, fit.nuisance)], PATIENCE)[0]
     if found.diverged:
         return fit
-    return replace(found, penalty=found.penalty / deflation)
+    return replace(found, penalty=found.penalty / deflation, narrowed=deflation)

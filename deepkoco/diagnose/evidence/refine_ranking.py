@@ -121,7 +121,8 @@ def classed(
     ``LEAST_SHARE`` of the whole, it only describes the form of the simpler one. Dry friction is an example, of which a
     log shows some excess near standstill. A simpler cause of its own family and class leads, too, unless the error in
     held-out windows is larger with it: a model error can favour the one or the other form in the windows that are
-    fitted.
+    fitted. Where only noise is left, a simpler cause of its family that explains as much leads unless the BIC tells
+    them apart: the breakaway of a dry friction is then too small to be told from none.
 
     Args:
         problem: The windows.
@@ -136,7 +137,13 @@ def classed(
     """
     simple = [c for c in ranking.candidates[1:] if _simpler(ranking.best, c, 1.0 - LEAST_SHARE)]
     left = ranking.best.fit.chi2 / problem.windows.samples > start.most_noise(problem.windows)
-    if simple and left:
+    if not left:
+        # Noise favours the form with a shape by as much as two causes need to be distinguished.
+        behind = {c.cause.name: ranking.best.delta_bic - c.delta_bic for c in simple}
+        simple = [
+            c for c in simple if behind[c.cause.name] < APART and _same_family(ranking.best.cause, c.cause)
+        ]
+    if simple:
         first = min(simple, key=lambda c: (c.cause.size, -c.delta_bic))
         ranking = replace(ranking, candidates=(first, *(c for c in ranking.candidates if c is not first)))
     members = equivalent(problem, start, ranking, tuple(accepted))

@@ -32,6 +32,7 @@ RIDGE = 1e-8  # relative; two doses may move the measurements in the same direct
 # Relative, of the parameters; the first one with which a dose keeps what it is. Healthy logs tell some combinations a
 # million times better than others, and what rounding leaves of the curvature may take more out of a dose than it has.
 RIDGES = (0.0, 1e-10, 1e-8, 1e-6, 1e-4)
+WORTH = 8.0  # promised fall of the cost from which a cause is fitted
 NEARLY = 0.9  # of a promise by slopes, from which the start that keeps the motion is the better one
 SAME = 1e-2  # relative difference of two responses up to which they are one quantity
 
@@ -89,8 +90,12 @@ def screen(
         for d in alike:
             rival = points[owner[d]]
             taken = _taken_over(problem, reference, prior, name, single[d])
+            start = StartPoint(rival.cause, {**rival.values, **taken}, promise)
             if taken and promise > NEARLY * rival.promise:
-                points[owner[d]] = StartPoint(rival.cause, {**rival.values, **taken}, promise)
+                points[owner[d]] = start
+            elif taken and promise >= WORTH:
+                # Slopes of the two that differ a little promise more than there is, and no step along them is one.
+                points.append(start)
     return points
 
 

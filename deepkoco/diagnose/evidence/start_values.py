@@ -38,6 +38,8 @@ class Hints:
         self.chi2, self.strained = chi2, strained
         self.pushes = pushes_from(missing)
         self.seconds = float(sum(c.t[-1] - c.t[0] for c in windows.commands))
+        gaps = [np.diff(c.t) for c in windows.commands if len(c.t) > 1]
+        self.interval = float(np.median(np.concatenate(gaps))) if gaps else 0.0
 
     def for_cause(self, cause: Cause) -> Hint:
         """Return the data for one cause: its command, and speeds of its joint."""
@@ -55,6 +57,7 @@ class Hints:
             self.chi2,
             self.missing[joint],
             self.strained,
+            self.interval,
         )
 
     def _speeds(self, joint: int) -> np.ndarray:

@@ -24,6 +24,7 @@ __all__ = [
     "dispersion",
     "missing_torque",
     "push_of",
+    "structured_from",
     "white_limit",
 ]
 
@@ -41,6 +42,24 @@ def coloured_from(windows: Windows, deviations: float = MAX_CORRELATION_SD) -> f
         deviations: The limit in standard deviations of the correlation of white residuals.
     """
     return deviations / math.sqrt(windows.samples)
+
+
+def structured_from(windows: Windows, chi2: float) -> float:
+    """Return the correlation of neighbouring residuals from which a simulation as given lacks something.
+
+    Noise of a sensor is white. What a simulation cannot follow is not: the rounding of a logged command is a force,
+    which moves neighbouring samples alike, and so does the error of an integrator. The size of that part of the noise
+    is known, and all of it may be alike in neighbours. A pattern that may be fitted to it is no explanation of it, so
+    that is asked to leave white residuals (`coloured_from`).
+
+    Args:
+        windows: The windows.
+        chi2: Mean squared residual in noise variances. Where it is more than noise, that part is a smaller share.
+    """
+    counts = windows.valid.sum((0, 2)).tolist()
+    shares = [(n.simulated_sd / n.sd) ** 2 if n.simulated_sd > 0.0 else 0.0 for n in windows.noise]
+    alike = sum(n * share for n, share in zip(counts, shares, strict=True)) / windows.samples
+    return coloured_from(windows) + alike / max(chi2 / white_limit(windows), 1.0)
 
 
 def white_limit(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -19,6 +20,7 @@ from deepkoco.diagnose.residuals.residuals import MissingTorque
 from deepkoco.diagnose.verdict.open_scales import scale_variance
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem
+from deepkoco.fit.solve.deflated import deflated
 from deepkoco.systems import Parameter, System
 
 CLEAR_TORQUE = 5.0  # standard deviations from which a missing torque is reported
@@ -29,28 +31,43 @@ def estimates(
     fit: Fit,
     names: Sequence[str],
     deflation: float,
+    narrowed: float,
     scales: Mapping[str, float] | None = None,
 ) -> dict[str, Estimate]:
-    """Return values with 95 % intervals; the covariance of the fit is multiplied by the deflation.
+    """Return values with 95 % intervals under residuals that are correlated.
 
     Args:
         problem: The windows.
         fit: The fit.
         names: Parameters to return.
         deflation: Deflation of the residuals.
+        narrowed: Factor by which the prior is narrower than it was stated; see :func:`.deflated`.
         scales: Parameter -> variance that scales add which the data leave open; None for none.
     """
-    result, scales = {}, scales or {}
-    for parameter in declared(problem, names):
-        value = fit.values[parameter.name]
-        if parameter.name in fit.free:
-            i = fit.free.index(parameter.name)
-            variance = max(fit.covariance[i, i], 0.0) * deflation + scales.get(parameter.name, 0.0)
-            reach = 1.96 * float(np.sqrt(variance))
-        else:
-            reach = 0.0
-        low, high = max(value - reach, parameter.low), min(value + reach, parameter.high)
-        result[parameter.name] = Estimate(value, min(low, value), max(high, value), parameter.unit)
+    variances, scales = deflated(fit, deflation, narrowed * fit.narrowed).diagonal(), scales or {}
+    known = dict(zip(fit.free, variances, strict=True))
+    return with_intervals(
+        problem,
+        fit.values,
+        {n: max(known[n], 0.0) + scales.get(n, 0.0) if n in known else 0.0 for n in names},
+    )
+
+
+def with_intervals(
+    problem: FitProblem, values: Mapping[str, float], variances: Mapping[str, float]
+) -> dict[str, Estimate]:
+    """Return the values of parameters with 95 % intervals, which end at their bounds.
+
+    Args:
+        problem: The windows.
+        values: Values of all parameters.
+        variances: Variance of each parameter to return.
+    """
+    result = {}
+    for p in declared(problem, tuple(variances)):
+        value, reach = values[p.name], 1.96 * float(np.sqrt(variances[p.name]))
+        low, high = max(value - reach, p.low), min(value + reach, p.high)
+        result[p.name] = Estimate(value, min(low, value), max(high, value), p.unit)
     return result
 
 
@@ -74,19 +91,21 @@ def finding(
         evidence: What speaks for it.
         before: Values of the baseline.
         chances: Probabilities of all that may stand in its place.
-        start: The baseline; the scales that its gauges leave open count in the intervals. None counts none.
+        start: The baseline; the scales that its gauges leave open count in the intervals. None counts none, and takes
+            priors to count as much as the residuals do.
     """
     cause, chances, fit = candidate.cause, chances or {}, candidate.fit
     # A parameter that changed since the healthy logs is compared with their value, which has the same scale.
     relative = start is not None and is_changed(cause) and start.healthy is not None
     scales = {} if start is None or relative else scale_variance(start, fit)
+    narrowed = math.inf if start is None else start.narrowed
     return Finding(
         cause.name,
         cause.family,
         members or (cause.name,),
         candidate.delta_bic,
         chances.get(cause.name, 0.0),
-        estimates(problem, fit, _shown(problem, cause), ranking.deflation, scales),
+        estimates(problem, fit, _shown(problem, cause), ranking.deflation, narrowed, scales),
         evidence,
         {n: before[n] for n in cause.free} if before is not None and is_changed(cause) else {},
         probabilities=listed(chances) if members else {},

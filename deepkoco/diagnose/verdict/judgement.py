@@ -272,7 +272,7 @@ def _named(
         chances = how_probable(ranking.candidates, wanted, apart, members)
         ranking = replace(ranking, deflation=deflation)
         named = finding(base.problem, best, ranking, members, evidence, given, chances, base.start)
-        same = same_parameter(found.acting, best.cause, found.final, given, deflation)
+        same = same_parameter(found.acting, best.cause, found.final, given, deflation, base.start.narrowed)
         wide = over_classes(named.parameters, found.acting, found.accepted, found.steps, k)
         wide = over_colour(wide, named.parameters, found.acting, coloured)
         result.append(replace(named, same_as=same, parameters=wide))

@@ -21,6 +21,7 @@ from deepkoco.diagnose.refitted import Refitted
 from deepkoco.diagnose.residuals.residuals import dispersion
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem
+from deepkoco.fit.solve.deflated import deflated
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.logs.part import named_part, seconds
 from deepkoco.pages.units import in_one_unit
@@ -205,7 +206,10 @@ def clearest_changes(start: Baseline, sides: Sequence[Fit], deflations: Sequence
     """
     first, last = sides
     spread = np.sqrt(
-        sum(side.covariance.diagonal() * factor for side, factor in zip(sides, deflations, strict=True))
+        sum(
+            deflated(side, factor, start.narrowed).diagonal()
+            for side, factor in zip(sides, deflations, strict=True)
+        )
     )
     away = {
         n: abs(last.values[n] - first.values[n]) / max(s, 1e-300)

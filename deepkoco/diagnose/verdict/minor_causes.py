@@ -16,7 +16,8 @@ def minor_causes(found: Selected) -> list[dict[str, Any]]:
     """
     result = []
     for minor in found.minor:
-        sizes = estimates(found.acting, minor.fit, minor.cause.sizes, minor.deflation)
+        # Their priors are as wide as they are, so what these count hardly matters.
+        sizes = estimates(found.acting, minor.fit, minor.cause.sizes, minor.deflation, minor.deflation)
         result.append(
             {
                 "name": minor.cause.name,

@@ -15,7 +15,7 @@ from deepkoco.diagnose.evidence.priors import declared
 from deepkoco.diagnose.evidence.screening import SAME
 from deepkoco.diagnose.evidence.selection import CLOSE, DETECTION, ITERATIONS
 from deepkoco.diagnose.residuals.residuals import dispersion
-from deepkoco.diagnose.verdict.findings import estimates
+from deepkoco.diagnose.verdict.findings import estimates, with_intervals
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.solve.scaled_inverse import DivergedError
@@ -62,12 +62,13 @@ def moved_parameters(problem: FitProblem, start: Baseline, refit: Fit) -> tuple[
     if best is None:
         return _far(problem, start, refit, sd, deflation)
     chosen = list(best.free)
-    found = estimates(problem, best, chosen, deflation, _of_others(problem, refit, chosen, deflation))
     change = {n: best.values[n] - start.values[n] for n in chosen}
     if max(abs(change[n]) / sd[n] for n in chosen) < FAR:
         return ()
-    # A change within a data sheet's standard deviation is no news.
-    return tuple(_moved(problem, start, best, n, found[n], sd) for n in chosen if abs(change[n]) >= sd[n])
+    # A change within a data sheet's standard deviation is no news, and such a parameter is known as it was declared.
+    news = [n for n in chosen if abs(change[n]) >= sd[n]]
+    found = with_intervals(problem, best.values, _beside_others(problem, refit, news, deflation))
+    return tuple(_moved(problem, start, best, n, found[n], sd) for n in news)
 
 
 def _far(
@@ -80,7 +81,7 @@ def _far(
     """
     away = {n: abs(refit.values[n] - start.values[n]) for n in refit.free if "." not in n}
     names = [n for n, change in away.items() if sd[n] > 0.0 and change >= FAR * sd[n]]
-    found = estimates(problem, refit, names, deflation)
+    found = estimates(problem, refit, names, deflation, start.narrowed)
     certain = [n for n in names if away[n] - (found[n].high - found[n].low) / 2.0 >= sd[n]]
     if len(certain) > MOST:
         return ()
@@ -96,39 +97,36 @@ def _far(
     trials = [Trial("far", refit.free, prior, b.values, b.state, b.nuisance) for b in begins]
     fits = [fit for fit in problem.fit(trials, PATIENCE) if not fit.diverged]
     fit = min(fits, key=lambda fit: fit.cost, default=refit)
-    found = estimates(problem, fit, certain, deflation)
+    found = estimates(problem, fit, certain, deflation, start.narrowed)
     return tuple(_moved(problem, start, fit, n, found[n], sd) for n in certain)
 
 
-def _of_others(problem: FitProblem, refit: Fit, chosen: Sequence[str], deflation: float) -> dict[str, float]:
-    """Return by how much the other parameters add to the variance of each chosen one.
+def _beside_others(
+    problem: FitProblem, refit: Fit, chosen: Sequence[str], deflation: float
+) -> dict[str, float]:
+    """Return the variance of each chosen parameter beside all others, which are known as they are declared.
 
-    They keep their values given in the fit of the chosen ones, and a machine differs from these as far as they are
+    Others keep their values given in the fit of the chosen ones, and a machine differs from these as far as they are
     declared and the log allows. A friction of which only the ratio to a mass shows is known no better than the mass.
 
-    With the information I of the log, the chosen ones C and the others O, a difference d of the others moves the
-    chosen ones by -K d, with K = I_CC^-1 I_CO. The covariance of d is that of the others beside free chosen ones,
-    (S / deflation + P)^-1, with S = I_OO - I_OC K and the precision P that is declared.
+    With the information I of the log and the declared precision P of the others (0 for the chosen ones) it is the
+    diagonal of (I / deflation + P)^-1.
 
     Args:
         problem: Training windows.
         refit: Refit of all parameters, with the information of the log.
-        chosen: Parameters that were fitted alone.
+        chosen: Parameters whose declared values the log contradicts.
         deflation: Deflation of the residuals.
     """
-    spread = {p.name: p.prior_sd for p in declared(problem, refit.free)}
-    own = [refit.free.index(n) for n in chosen]
-    others = [i for i, n in enumerate(refit.free) if n not in chosen and spread[n] > 0.0]
-    if not others:
-        return {}
+    sd = [p.prior_sd for p in declared(problem, refit.free)]
     # In units of what is declared, so that nothing is lost between kilograms and radians.
-    size = np.array([spread[n] or 1.0 for n in refit.free])
-    known = refit.information * np.outer(size, size)
-    follows = np.linalg.solve(known[np.ix_(own, own)] + LOOSE * np.eye(len(own)), known[np.ix_(own, others)])
-    seen = known[np.ix_(others, others)] - known[np.ix_(others, own)] @ follows
-    differ = np.linalg.inv(seen / deflation + np.eye(len(others)))
-    added = np.einsum("ck,kl,cl->c", follows, differ, follows) * size[own] ** 2
-    return dict(zip(chosen, added.tolist(), strict=True))
+    spread = np.array([s or 1.0 for s in sd])
+    known = refit.information * np.outer(spread, spread) / deflation
+    stated = [
+        LOOSE if n in chosen else 1.0 if s > 0.0 else 1.0 / LOOSE for n, s in zip(refit.free, sd, strict=True)
+    ]
+    variance = np.linalg.inv(known + np.diag(stated)).diagonal() * spread**2
+    return {n: float(v) for n, v in zip(refit.free, variance, strict=True) if n in chosen}
 
 
 def _fewest(

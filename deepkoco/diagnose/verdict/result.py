@@ -18,7 +18,7 @@ from deepkoco.diagnose.healthy import describe_healthy
 from deepkoco.diagnose.lost_commands.search import why_not_searched
 from deepkoco.diagnose.refitted import Refitted
 from deepkoco.diagnose.request import DiagnosisRequest
-from deepkoco.diagnose.residuals.residuals import coloured_from, dispersion, missing_torque
+from deepkoco.diagnose.residuals.residuals import dispersion, missing_torque, structured_from
 from deepkoco.diagnose.residuals.signatures import signatures
 from deepkoco.diagnose.residuals.spectrum import spectrum_of
 from deepkoco.diagnose.verdict.advice import (
@@ -81,6 +81,7 @@ def diagnosis_of(request: DiagnosisRequest, explanation: Explanation, judgement:
             base.reference,
             base.reference.free,
             deflation,
+            base.start.narrowed,
             scale_variance(base.start, base.reference),
         ),
         model=_model(request, explanation, judgement),
@@ -167,7 +168,7 @@ def _unexplained(request: DiagnosisRequest, explanation: Explanation, judgement:
     """Return what remains in the residuals, what the data cannot tell apart, and what was not fitted."""
     base, final, left = explanation.base, judgement.final, judgement.left
     train = base.train
-    limit, alike = base.start.most_noise(train), coloured_from(train)
+    limit, alike = base.start.most_noise(train), structured_from(train, left.chi2_per_sample)
     refitted = final is base.reference
     remaining = judgement.missing if refitted else missing_torque(explanation.found.acting, final)
     learned = judgement.learned
@@ -324,7 +325,8 @@ def _written(explanation: Explanation, judgement: Judgement) -> dict[str, Estima
     problem, deflation = base.problem, judgement.left.deflation
     if (midway := judgement.midway) is not None:
         problem, fit, deflation = midway.problem, midway.later, midway.deflation
-    own = estimates(problem, fit, base.reference.free, deflation, scale_variance(base.start, fit))
+    scales, narrowed = scale_variance(base.start, fit), base.start.narrowed
+    own = estimates(problem, fit, base.reference.free, deflation, narrowed, scales)
     if judgement.final is not base.reference:
         wide = over_classes(own, found.acting, found.accepted, found.steps)
         own = over_colour(wide, own, found.acting, judgement.coloured)

@@ -10,13 +10,19 @@ from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.diagnosis import Estimate, Evidence, Moved
 from deepkoco.diagnose.evidence.absorbed import alike
 from deepkoco.fit.fit import Fit, FitProblem
+from deepkoco.fit.solve.deflated import deflated
 
 MOST_LISTED = 3  # parameters of the refit that a sentence lists
 NOTABLE = 2.0  # standard deviations of the prior from which it lists one
 
 
 def same_parameter(
-    problem: FitProblem, cause: Cause, fit: Fit, given: Mapping[str, float], deflation: float
+    problem: FitProblem,
+    cause: Cause,
+    fit: Fit,
+    given: Mapping[str, float],
+    deflation: float,
+    narrowed: float,
 ) -> tuple[Moved, ...]:
     """Return the parameters of the simulation that would do exactly the same as a cause; usually none.
 
@@ -28,13 +34,13 @@ def same_parameter(
         cause: The cause.
         fit: Fit with it.
         given: Values of the baseline.
-        deflation: Factor on the covariance of the fit.
+        deflation: Deflation of the residuals.
+        narrowed: Factor by which the prior is narrower than it was stated; see :func:`.deflated`.
     """
-    found = []
+    found, c = [], deflated(fit, deflation, narrowed * fit.narrowed)
     for name, value in alike(problem, fit, cause, given).items():
         p, i, j = problem.system.parameter(name), fit.free.index(cause.free[0]), fit.free.index(name)
-        c = fit.covariance
-        reach = 1.96 * float(np.sqrt(max(c[i, i] + c[j, j] + 2.0 * c[i, j], 0.0) * deflation))
+        reach = 1.96 * float(np.sqrt(max(c[i, i] + c[j, j] + 2.0 * c[i, j], 0.0)))
         before = given[name]
         found.append(
             Moved(

@@ -16,7 +16,7 @@ from deepkoco.diagnose.evidence.sanity_checks import doubts_of_commands
 from deepkoco.diagnose.evidence.selected import Selected
 from deepkoco.diagnose.evidence.selection import FURTHER
 from deepkoco.diagnose.gain import Gain
-from deepkoco.diagnose.residuals.residuals import coloured_from, dispersion
+from deepkoco.diagnose.residuals.residuals import dispersion, structured_from
 from deepkoco.diagnose.verdict.unknown import carries_over, explained_share
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit
@@ -160,7 +160,8 @@ def without_explanation(
     """Return the verdict on a log whose only explanation is vetoed.
 
     That a pattern of lost commands or a push cannot be trusted says nothing about the log. It is judged as if nothing
-    had been selected, but its residuals must also be white: some structure made the selection possible.
+    had been selected, but its residuals must also be white, apart from what no simulation can follow: some structure
+    made the selection possible.
 
     Args:
         reference: The refit.
@@ -169,7 +170,8 @@ def without_explanation(
         system: The system as given.
     """
     left = reference.chi2 / train.samples > start.most_noise(train)
-    coloured = dispersion(reference, train).lag_one > coloured_from(train) + start.healthy_lag_one
+    spread = dispersion(reference, train)
+    coloured = spread.lag_one > structured_from(train, spread.chi2_per_sample) + start.healthy_lag_one
     return "unknown" if left or coloured or doubts_of_commands(train, system) else "nothing"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from contextlib import suppress
 from typing import NamedTuple
@@ -15,9 +16,11 @@ from deepkoco.logs.inspect.lone_units import with_likely_units
 from deepkoco.logs.inspect.misfit import misfit
 from deepkoco.logs.inspect.proposal import Proposer
 from deepkoco.logs.inspect.survey import Survey
+from deepkoco.logs.units import factor_between, parse_unit
 from deepkoco.logs.unused import listed
 from deepkoco.systems import System, UnknownSystemError, any_system, make_system, system_names
 
+_TURN, _WAY = 2.0 * math.pi, 5e-3  # of the lead in an example [m]
 ALIKE = 1.0  # difference of evidence per channel below which two systems fit equally well [nats]
 
 
@@ -110,9 +113,36 @@ def _nothing(survey: Survey, proposal: Proposal, asked: bool) -> NoProposalError
         else "no system fits it"
     )
     return NoProposalError(
-        f"{survey.log.path}: {what}: a mapping needs at least a command and a measurement; write the sidecar by "
-        'hand, or choose another system ("deepkoco systems" lists them)'
+        f"{survey.log.path}: {what}: a mapping needs at least a command and a measurement; "
+        f"{_behind_a_screw(survey, proposal)}write the sidecar by hand, or choose another system "
+        '("deepkoco systems" lists them)'
     )
+
+
+def _behind_a_screw(survey: Survey, proposal: Proposal) -> str:
+    """How to map the angle of a motor that moves a slide; empty where there is no such pair."""
+    lengths = [
+        c.channel for c in proposal.choices if c.column is None and _quantity(c.channel.unit) == "length"
+    ]
+    taken = {c.column.label for c in proposal.choices if c.column is not None}
+    angles = [
+        c
+        for c in survey.columns
+        if c.kind == "number" and c.label not in taken and _quantity(c.hints.unit or "1") == "angle"
+    ]
+    if len(lengths) != 1 or len(angles) != 1:
+        return ""
+    (channel,), (column,) = lengths, angles
+    unit = column.hints.unit or ""
+    example = _WAY * factor_between(unit, "rad") / _TURN
+    return (
+        f'"{column.name}" is an angle, and {channel.name} is a length: where a screw or a drum is between the two, map '
+        f"it with unit: {channel.unit} and as scale the way of one {unit} (5 mm a turn: {example:.6g}); "
+    )
+
+
+def _quantity(unit: str) -> str:
+    return parse_unit(unit).quantity
 
 
 def _known() -> list[System]:

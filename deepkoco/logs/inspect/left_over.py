@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 
 from deepkoco.logs.inspect.channel_names import is_commanded
@@ -21,10 +22,11 @@ def with_what_is_left(survey: Survey, proposal: Proposal) -> Proposal:
     """
     choices = {c.channel.name: c for c in proposal.choices}
     used = {c.column.label for c in proposal.choices if c.column is not None}
+    driven = {parse_unit(c.channel.unit).quantity for c in proposal.choices if c.channel.kind == "command"}
     columns = [c for c in survey.columns if c.kind == "number" and c.clock and c.label not in used]
     while True:
         empty = [c.channel for c in choices.values() if c.column is None and c.channel.default is None]
-        could = {c.name: [k for k in columns if _could_be(k, c)] for c in empty}
+        could = {c.name: [k for k in columns if _could_be(k, c, driven)] for c in empty}
         sole = [c for c in empty if len(could[c.name]) == 1 and _claims(could[c.name][0], could) == 1]
         if not sole:
             return replace(proposal, choices=tuple(choices[c.channel.name] for c in proposal.choices))
@@ -41,13 +43,15 @@ def with_what_is_left(survey: Survey, proposal: Proposal) -> Proposal:
         )
 
 
-def _could_be(column: ColumnSurvey, channel: Channel) -> bool:
+def _could_be(column: ColumnSurvey, channel: Channel, driven: Collection[str]) -> bool:
     hints, quantity = column.hints, parse_unit(channel.unit).quantity
     if hints.counting or (hints.unit is not None and parse_unit(hints.unit).quantity != quantity):
         return False
     if channel.kind == "command":
         return not hints.measured and hints.speaks_for(quantity) >= 0.0
-    return not is_commanded(column) and (hints.unit is not None or hints.speaks_for(quantity) >= 0.0)
+    # A boat's speed is called u, as many commands are; its unit is that of no command of the system.
+    commanded = is_commanded(column) and (hints.unit is None or quantity in driven)
+    return not commanded and (hints.unit is not None or hints.speaks_for(quantity) >= 0.0)
 
 
 def _claims(column: ColumnSurvey, could: dict[str, list[ColumnSurvey]]) -> int:

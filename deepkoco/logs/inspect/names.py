@@ -34,7 +34,11 @@ WORDS: dict[str, dict[str, float]] = {
         **dict.fromkeys(("u", "input", "command", "cmd", "action", "control", "pwm", "data"), 1.0),
         "v": 0.5,
     },
-    "current": {**dict.fromkeys(("current", "curr", "amps", "strom"), 3.0), "i": 1.0},
+    # "cur" is also the present one: `cur_pos` is a position.
+    "current": {
+        **dict.fromkeys(("current", "curr", "amps", "strom"), 3.0),
+        **dict.fromkeys(("i", "cur"), 1.0),
+    },
     "force": {
         **dict.fromkeys(("force", "thrust", "kraft"), 3.0),
         **dict.fromkeys(("u", "input", "command", "cmd", "f"), 1.0),
@@ -45,6 +49,13 @@ WORDS: dict[str, dict[str, float]] = {
     },
     "length": dict.fromkeys(("x", "y", "z", "height", "altitude", "pos", "position", "weg", "hub"), 2.0),
     "velocity": dict.fromkeys(("vx", "vy", "vz", "vel", "velocity", "speed", "geschwindigkeit"), 2.0),
+    # No channel of a robot: what a recorder writes beside the motion.
+    "another": {
+        **dict.fromkeys(
+            ("temp", "temperature", "temperatur", "humidity", "pressure", "battery", "akku"), 3.0
+        ),
+        **dict.fromkeys(("soc", "cpu", "rssi", "celsius", "degc"), 3.0),
+    },
     "time": {
         **dict.fromkeys(("time", "timestamp", "stamp", "t", "ts", "datetime", "date", "zeit"), 3.0),
         **dict.fromkeys(
@@ -99,7 +110,8 @@ SUFFIXES = {
     "us": "us",
     "usec": "us", "micros": "us", "ns": "ns", "nsec": "ns", "nanos": "ns", "volt": "V", "volts": "V", "mv": "mV",
     "v": "V", "m": "m", "mm": "mm", "cm": "cm", "um": "um", "pct": "%", "percent": "%",
-    "mm_s": "mm/s", "mmps": "mm/s", "cm_s": "cm/s", "m_s": "m/s", "mps": "m/s", "ma": "mA", "turns": "rev",
+    "mm_s": "mm/s", "mmps": "mm/s", "cm_s": "cm/s", "m_s": "m/s", "mps": "m/s", "cmps": "cm/s", "kmh": "km/h",
+    "ma": "mA", "turns": "rev",
     "rev": "rev",
 }  # fmt: skip
 

@@ -31,6 +31,7 @@ FILLER = {
     "values",
     "value",
     "act",
+    "cur",
 }
 GOALS = {"position": "goal", "speed": "goal speed", "effort": "goal effort"}
 DRIVEN = {"goal", "goal speed", "effort", "goal effort"}
