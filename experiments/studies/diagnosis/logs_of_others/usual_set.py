@@ -202,7 +202,7 @@ def refit_of(system: System, train: Sequence[Recording], length: float) -> dict[
         start = with_gauges_fixed(baseline_from(system, data.train), data.train)
         base = refit_to_logs(start, data)
         deflation = dispersion(base.reference, base.train).deflation
-        found = estimates(base.problem, base.reference, base.reference.free, deflation)
+        found = estimates(base.problem, base.reference, base.reference.free, deflation, base.start.narrowed)
     return {
         "causes": [],
         "refit": {n: [e.value, e.low, e.high, e.unit] for n, e in found.items()},
