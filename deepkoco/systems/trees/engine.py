@@ -17,7 +17,6 @@ from torch import Tensor
 
 from deepkoco.systems.creep import Creep
 from deepkoco.systems.dry_friction import DryFriction
-from deepkoco.systems.engine_names import MUJOCO, SEMI_IMPLICIT
 from deepkoco.systems.motion import Acceleration, Motion
 from deepkoco.systems.trees.dynamics import Inertia, inverse_mass
 from deepkoco.systems.trees.mujoco_library import Model, mujoco_library
@@ -27,8 +26,6 @@ from deepkoco.systems.trees.stiffness import larger
 from deepkoco.systems.trees.tree import Actuator, Engine, Joint, Softness
 
 LARGEST_SHARE = 0.5  # of the inertia that a joint moves, which a damping below 0 may take off
-NO_MACHINE = "not as a machine"
-USUAL_STEP = 1.0 / 240.0  # of Bullet, where no file states one [s]
 LEAST_IMPEDANCE, MOST_IMPEDANCE = 1e-4, 0.9999  # mjMINIMP, mjMAXIMP
 
 
@@ -75,26 +72,6 @@ def _slowed(soft: Softness, step: float) -> Softness:
 def _with_late_speed(soft: Softness, late: float) -> Softness:
     kept = 1.0 - soft.rate * late
     return soft if kept <= 0.0 else soft._replace(inertia=soft.inertia * kept, rate=soft.rate / kept)
-
-
-def said_of(engine: Engine | None) -> tuple[str, ...]:
-    """The note that a system is simulated so; nothing of a machine."""
-    if engine is None:
-        return ()
-    does = ["dry friction creeps"] if engine.softness is not None else []
-    does += ["commands act half a step early"] if engine.lead > 0.0 else []
-    long = f"in steps of {1e3 * engine.step:.3g} ms" if engine.step > 0.0 else "in steps too short to show"
-    who = "MuJoCo does it" if engine.name == MUJOCO else "engines of rigid bodies do it (Bullet)"
-    return (f"simulated as {who}, {NO_MACHINE}: {long} {' and '.join(does) or 'it moves as a machine'}",)
-
-
-def semi_implicit(step: float) -> Engine:
-    """Rigid bodies in semi-implicit steps, with explicit loads and a dry friction that holds.
-
-    Args:
-        step: Of the engine [s].
-    """
-    return Engine(None, step, 0.5, 0.5, 0.5, name=SEMI_IMPLICIT)
 
 
 def ahead(

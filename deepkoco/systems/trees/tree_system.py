@@ -17,7 +17,7 @@ from deepkoco.systems.drawn import Outline
 from deepkoco.systems.drives import AS_A_LOAD
 from deepkoco.systems.dry_friction import DryFriction, Levels
 from deepkoco.systems.effects.effect import Effect
-from deepkoco.systems.engine_names import MUJOCO, SEMI_IMPLICIT
+from deepkoco.systems.engine_names import MUJOCO
 from deepkoco.systems.extended import MemoryEffectError
 from deepkoco.systems.motion import (
     Acceleration,
@@ -33,18 +33,10 @@ from deepkoco.systems.plain import is_plain
 from deepkoco.systems.system import System
 from deepkoco.systems.trees.base_tilt import tilt_parameters, turned_gravity
 from deepkoco.systems.trees.channels import command_channels, joint_channels, refuse_clashes
+from deepkoco.systems.trees.chosen_engine import engine_named, engines_with, noted
 from deepkoco.systems.trees.compile_tree import compile_tree
 from deepkoco.systems.trees.dynamics import inverse_mass, mass_matrix
-from deepkoco.systems.trees.engine import (
-    NO_MACHINE,
-    USUAL_STEP,
-    ahead,
-    creeping,
-    said_of,
-    semi_implicit,
-    softness_in,
-    with_late_speeds,
-)
+from deepkoco.systems.trees.engine import ahead, creeping, softness_in, with_late_speeds
 from deepkoco.systems.trees.equations import Numbers, Steadying, actuators_of_joints, equations_of_motion
 from deepkoco.systems.trees.fast import TreeArrays
 from deepkoco.systems.trees.geometry import geometry_parameters
@@ -257,22 +249,19 @@ class TreeSystem(System):
         added = ahead(engine, self.tree.actuators, self._steadying.least_inertias, own.passive, own.laws)
         return creeping(friction, softness, own.joints, own.inertias, own.passive["armature"], added)
 
-    engines = property(lambda self: (SEMI_IMPLICIT,) if self.tree.engine is None else (MUJOCO, SEMI_IMPLICIT))
+    engines = property(lambda self: engines_with(self.tree.engine))
     engine = property(lambda self: None if self._steadying.engine is None else self._steadying.engine.name)
     engine_step = property(
         lambda self: None if self._steadying.engine is None else self._steadying.engine.step
     )
 
     def with_engine(self, name: str | None = MUJOCO, step: float | None = None) -> Self | None:
-        own = self.tree.engine if name == MUJOCO else None
-        if name == SEMI_IMPLICIT:
-            own = semi_implicit(USUAL_STEP if self.tree.engine is None else self.tree.engine.step)
-        engine = own if own is None or step is None else replace(own, step=step)
+        engine = engine_named(self.tree.engine, name, step)
         if engine == self._steadying.engine or (name is not None and engine is None):
             return None
         other = copy(self)
         other._steadying = self._steadying._replace(engine=engine)
-        other.notes = (*(n for n in self.notes if NO_MACHINE not in n), *said_of(engine))
+        other.notes = noted(self.notes, engine)
         return other
 
     def accelerations(self, parameters: Parameters) -> Acceleration:
