@@ -36,7 +36,8 @@ MARGIN = 10.0
 NEAR = 10.0
 FAR = 1000.0  # noise variances, from which the logs say nothing of steps either
 NOISE = 1.2  # noise variances that a simulation leaves of its own logs
-LONGEST = 4.0  # step that is looked for, over that of the file
+LONGEST = 4.0  # step that a parabola may lead to, over the longest of its three
+SHARES = (0.5, 0.125)  # of the usual step, which are tried first
 DIGITS = 2  # of a step that is found
 PARABOLAS = 5  # in turn, where nobody stated a step
 SAME = 0.02  # relative difference of steps that logs hardly tell
@@ -151,20 +152,28 @@ def _as_rigid(machine: S, left: Callable[[S], Left], held: Left) -> tuple[Left, 
     usual = machine.with_engine(SEMI_IMPLICIT)
     assert usual is not None
     assert usual.engine_step is not None
-    half = 0.5 * usual.engine_step
-    systems = {0.0: machine, half: _in_steps(machine, SEMI_IMPLICIT, half)}
-    found = {0.0: held, half: left(systems[half])}
-    if found[half].cost >= held.cost:
+    systems, found = {0.0: machine}, {0.0: held}
+
+    def ask(step: float) -> bool:
+        """Whether a step leaves less of the logs than the machine does."""
+        systems[step] = _in_steps(machine, SEMI_IMPLICIT, step)
+        found[step] = left(systems[step])
+        return found[step].cost < held.cost
+
+    # Twice the best step is as bad as the machine, and longer ones are worse.
+    if not any(ask(share * usual.engine_step) for share in SHARES):
         return held, machine
-    wanted = 2.0 * half
+    wanted = usual.engine_step if len(found) == 2 else _least({h: own.cost for h, own in found.items()})
     # A parabola from 0 to 1 ms tells 4 ms roughly, and the next ones better.
     for _ in range(PARABOLAS):
-        systems[wanted] = _in_steps(machine, SEMI_IMPLICIT, wanted)
-        found[wanted] = left(systems[wanted])
-        near = sorted(found, key=lambda step: found[step].cost)[:3]
-        wanted = _least({step: found[step].cost for step in near})
         if any(abs(wanted - step) <= SAME * step for step in found):
             break
+        try:
+            ask(wanted)
+        except DivergedError:
+            break
+        near = sorted(found, key=lambda step: found[step].cost)[:3]
+        wanted = _least({step: found[step].cost for step in near})
     # Each fit started at the parameters of another step, which may be far.
     for step in sorted(found, key=lambda step: found[step].cost)[:2]:
         found[step] = min(found[step], left(systems[step]), key=lambda own: own.cost)

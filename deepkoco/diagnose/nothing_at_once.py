@@ -207,6 +207,8 @@ def nothing_at_once(
         base = replace(little, reference=first.ranking.reference)
     ranking, found = _selection(request, base).go_on(first)
     if found.lost is not None and found.plain is not None:
+        if not request.limit.allows("weighing the lost commands"):
+            return None
         request.progress("weighing the lost commands")
         try:
             if losses_of(request, at.base, found).outweigh(weights.answer):

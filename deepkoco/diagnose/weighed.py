@@ -156,6 +156,8 @@ def _cause_at_once(
     base, ranking = at.base, at.first.ranking
     if base.learned.healthy is not None or not ranking.candidates:
         return None
+    if not request.limit.allows("the causes that weigh most"):
+        return None
     try:
         weights = weights.beside(alike_in(ranking))
         best = weights.answer.explanations[0]

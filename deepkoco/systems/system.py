@@ -246,7 +246,7 @@ class System(SignalPath, NamedJoints, Drawn, metaclass=Declared):
 
         Args:
             name: Of the engine; None for the machine of a system that is simulated so.
-            step: Of the engine [s]; None: that of the file, and where it has none, 1 / 240.
+            step: Of the engine [s]; None: that of the file, as MuJoCo reads it (2 ms where it states none).
         """
         return None
 

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from deepkoco.diagnose import diagnose
-from deepkoco.diagnose.as_engine import as_engine_if_shown
+from deepkoco.diagnose.as_engine import Left, as_engine_if_shown, closest
 from deepkoco.fit.data.windows import window_length
 from deepkoco.logs.recording import Recording, Series
 from deepkoco.systems import load_system
@@ -105,6 +105,31 @@ def test_logs_of_another_engine_have_its_steps_and_a_friction_that_holds(slider,
     found = as_engine_if_shown([from_rigid_bodies(step)], slider, window_length(slider))
     assert found.engine == "semi-implicit"
     assert found.engine_step == pytest.approx(step, rel=0.15)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.24, 0.3, 1.0, 2.1])
+def test_short_and_long_steps_of_another_engine_are_found(slider, share):
+    best = share * slider.with_engine("semi-implicit").engine_step
+
+    def left(law):
+        if law.engine == "MuJoCo":
+            return Left(1e6, 50.0)
+        away = (0.0 if law.engine is None else law.engine_step) / best - 1.0
+        return Left(1e4 * (0.9 + 3.0 * away**2), 0.9 + 3.0 * away**2)
+
+    assert closest(slider, left).engine_step == pytest.approx(best, rel=0.05)
+
+
+def test_logs_that_no_step_follows_better_are_of_a_machine(slider):
+    asked = []
+
+    def left(law):
+        asked.append(law.engine)
+        step = law.engine_step or 0.0
+        return Left(1e4 * (3.0 + 1e3 * step), 3.0 + 1e3 * step)
+
+    assert closest(slider, left) is slider
+    assert asked.count("semi-implicit") == 2
 
 
 def test_a_model_file_that_states_steps_keeps_them(slider):

@@ -8,6 +8,7 @@ from deepkoco import Channel, Parameter, System
 from deepkoco.logs.formats import open_log
 from deepkoco.logs.inspect import propose, survey_log
 from deepkoco.logs.inspect.fitting import NoProposalError
+from deepkoco.logs.inspect.joints.log_joints import role_in_name
 from deepkoco.logs.inspect.names import read_name
 
 T = 0.02 * np.arange(1500)
@@ -78,3 +79,16 @@ def test_a_speed_called_as_commands_are_is_one_by_its_unit(tmp_path):
 def test_cur_is_a_current_where_nothing_else_is_said():
     assert read_name("az_cur_cmd").speaks_for("current") > 0.0
     assert read_name("cur_pos").speaks_for("angle") > 0.0
+
+
+@pytest.mark.parametrize("goal", ["target_pos_m", "height_ref_m", "soll_weg_mm"])
+def test_a_goal_of_another_unit_than_the_command_is_no_measurement(tmp_path, goal):
+    with pytest.raises(NoProposalError):
+        propose(survey_of(tmp_path, {goal: moved()[0]}), Slide())
+
+
+@pytest.mark.parametrize(
+    ("name", "role"), [("pan_cur", "effort"), ("pan_cur_pos", "position"), ("pan_current", "effort")]
+)
+def test_the_current_of_a_joint_is_no_angle_of_it(name, role):
+    assert role_in_name(name) == (role, "pan")

@@ -18,6 +18,7 @@ Source: likelihood-ratio test with Bonferroni's bound; Pawitan, In All Likelihoo
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
@@ -69,21 +70,20 @@ def with_values_off_the_sheet(
     base = explanation.base
     if judgement.verdict != "nothing" or base.learned.healthy is not None or base.start.tempering > 1.0:
         return explanation, judgement
-    asked = explanation
+    # What any unit has was not named before, and it is no rival now.
+    usual = {m.cause.name for m in explanation.found.minor if m.share is None}
+    causes = [c for c in request.causes if c.name not in usual]
+    asked = _without(explanation, usual)
     best = off_the_sheet(asked, _least(request, asked))
-    if best is None and farthest(asked) >= _least(request, asked):
+    if best is None and farthest(asked) > max(_least(request, asked), 0.0):
         try:
-            asked = asked_in_proportion(request, asked)
+            asked = _without(asked_in_proportion(request, asked), usual)
         except DivergedError:
             return explanation, judgement
         best = off_the_sheet(asked, _least(request, asked))
     base, first = asked.base, asked.first
     if best is None:
         return explanation, judgement
-    # What any unit has was not named before, and it is no rival now.
-    usual = {m.cause.name for m in explanation.found.minor if m.share is None}
-    causes = [c for c in request.causes if c.name not in usual]
-    first = replace(first, candidates=tuple(c for c in first.candidates if c.cause.name not in usual))
     # What explains the log clearly better is no more than the selection has found it to be.
     if first.best.delta_bic - best.delta_bic > APART:
         return explanation, judgement
@@ -168,6 +168,13 @@ def farthest(explanation: Explanation) -> float:
         spread = inverse[i, i] + 1.0 / precision[i, i]
         most = max(most, float((away[i] + step[i]) ** 2 / spread))
     return most
+
+
+def _without(explanation: Explanation, names: Collection[str]) -> Explanation:
+    """Return the explanation with a ranking of the other causes."""
+    first = explanation.first
+    kept = tuple(c for c in first.candidates if c.cause.name not in names)
+    return replace(explanation, first=replace(first, candidates=kept))
 
 
 def _instead_of(first: Ranking, best: Candidate) -> tuple[Candidate, ...]:

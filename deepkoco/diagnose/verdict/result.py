@@ -18,7 +18,12 @@ from deepkoco.diagnose.healthy import describe_healthy
 from deepkoco.diagnose.lost_commands.search import why_not_searched
 from deepkoco.diagnose.refitted import Refitted
 from deepkoco.diagnose.request import DiagnosisRequest
-from deepkoco.diagnose.residuals.residuals import dispersion, missing_torque, structured_from
+from deepkoco.diagnose.residuals.residuals import (
+    coloured_from,
+    dispersion,
+    missing_torque,
+    structured_from,
+)
 from deepkoco.diagnose.residuals.signatures import signatures
 from deepkoco.diagnose.residuals.spectrum import spectrum_of
 from deepkoco.diagnose.verdict.advice import (
@@ -168,8 +173,8 @@ def _unexplained(request: DiagnosisRequest, explanation: Explanation, judgement:
     """Return what remains in the residuals, what the data cannot tell apart, and what was not fitted."""
     base, final, left = explanation.base, judgement.final, judgement.left
     train = base.train
-    limit, alike = base.start.most_noise(train), structured_from(train, left.chi2_per_sample)
-    refitted = final is base.reference
+    limit, refitted = base.start.most_noise(train), final is base.reference
+    alike = structured_from(train, left.chi2_per_sample) if refitted else coloured_from(train)
     remaining = judgement.missing if refitted else missing_torque(explanation.found.acting, final)
     learned = judgement.learned
     midway = judgement.midway

@@ -133,7 +133,8 @@ def _behind_a_screw(survey: Survey, proposal: Proposal) -> str:
     if len(lengths) != 1 or len(angles) != 1:
         return ""
     (channel,), (column,) = lengths, angles
-    unit = column.hints.unit or ""
+    unit = column.hints.unit
+    assert unit is not None  # what has none is of no quantity
     example = _WAY * factor_between(unit, "rad") / _TURN
     return (
         f'"{column.name}" is an angle, and {channel.name} is a length: where a screw or a drum is between the two, map '

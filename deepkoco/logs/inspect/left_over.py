@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from deepkoco.logs.inspect.channel_names import is_commanded
 from deepkoco.logs.inspect.choice import Choice, Proposal
+from deepkoco.logs.inspect.names import COMMANDED
 from deepkoco.logs.inspect.survey import ColumnSurvey, Survey
 from deepkoco.logs.units import parse_unit
 from deepkoco.systems import Channel
@@ -50,7 +51,8 @@ def _could_be(column: ColumnSurvey, channel: Channel, driven: Collection[str]) -
     if channel.kind == "command":
         return not hints.measured and hints.speaks_for(quantity) >= 0.0
     # A boat's speed is called u, as many commands are; its unit is that of no command of the system.
-    commanded = is_commanded(column) and (hints.unit is None or quantity in driven)
+    letter = "u" in hints.words and not hints.wanted and not {*hints.words} & ({*COMMANDED} - {"u"})
+    commanded = is_commanded(column) and not (letter and hints.unit is not None and quantity not in driven)
     return not commanded and (hints.unit is not None or hints.speaks_for(quantity) >= 0.0)
 
 

@@ -6,7 +6,7 @@ from deepkoco.systems.effects.effect import Effect
 from deepkoco.systems.parameter import Parameter
 from deepkoco.systems.system import System
 
-# A window of a fit is 1 to 2 s long, about one period of its system, and a delay or lag longer than the shortest one
+# A window of a fit is usually 1 to 2 s long, about one period of its system, and a delay or lag longer than the window
 # would leave nothing to see in it. Thrusters, hydraulic valves and winches have lags of 0.3 to 1 s.
 LONGEST = 1.0  # [s]
 LONGEST_OF_CHANNEL = 0.5  # of receivers and cameras [s]

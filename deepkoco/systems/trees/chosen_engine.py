@@ -9,7 +9,7 @@ from deepkoco.systems.engine_names import MUJOCO, SEMI_IMPLICIT
 from deepkoco.systems.trees.tree import Engine
 
 NO_MACHINE = "not as a machine"
-USUAL_STEP = 1.0 / 240.0  # of Bullet, where no file states one [s]
+USUAL_STEP = 1.0 / 240.0  # of Bullet, for a tree that MuJoCo has no steps for [s]
 
 
 def engines_with(of_file: Engine | None) -> tuple[str, ...]:
@@ -25,7 +25,7 @@ def engine_named(of_file: Engine | None, name: str | None, step: float | None) -
     Args:
         of_file: Engine of the tree's file; None where it states none.
         name: Of :mod:`deepkoco.systems.engine_names`; None for a machine.
-        step: Of the engine [s]; None: that of the file, and where it has none, 1 / 240.
+        step: Of the engine [s]; None: that of ``of_file``, and without one, 1 / 240.
     """
     engine = of_file if name == MUJOCO else None
     if name == SEMI_IMPLICIT:

@@ -197,6 +197,8 @@ def role_in_name(name: str, topic: str = "") -> tuple[str | None, str]:
         role = "goal effort" if goal else "effort"
     elif goal:
         role = "goal"
+    elif "cur" in said and not said & POSITION:
+        role = "effort"  # a current; beside a position it is the present one
     else:
         role = "position" if said & (POSITION | {"observation"}) else None
     rest = inner if label else [word for word in words if word not in _ROLE_WORDS]
