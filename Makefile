@@ -1,11 +1,12 @@
 # Each target sets itself up in .venv; see scripts/ to do the same without make.
-.PHONY: help setup demo test study lint bench docs clean
+.PHONY: help setup demo test study long lint bench docs clean
 
 help:
 	@echo "make setup  install into .venv; then: source .venv/bin/activate"
 	@echo "make demo   diagnose a log, extend the simulator, train in both, run on the unit; writes demo_out/index.html"
 	@echo "make test   run the tests but the long ones"
 	@echo "make study  run the long tests: whole diagnoses of hidden effects"
+	@echo "make long   run the longest of these, a minute or more each"
 	@echo "make lint   ruff and basedpyright"
 	@echo "make bench  tests against stable-baselines3, and the benchmarks against the peers (about half an hour)"
 	@echo "make docs   the documentation, into docs/_build/html"
@@ -22,6 +23,9 @@ test: setup
 
 study: setup
 	@scripts/study.sh
+
+long: setup
+	@scripts/long.sh
 
 lint: setup
 	@scripts/lint.sh

@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
-# Runs the whole diagnoses that are too long for scripts/test.sh, two processes side by side; arguments go to pytest.
+# Runs the whole diagnoses that are too long for scripts/test.sh, but for those of scripts/long.sh, two processes side by
+# side; arguments go to pytest.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/environment.sh
-exec .venv/bin/python -m pytest -n "${TEST_PROCESSES:-2}" --dist worksteal -m study "$@"
+exec .venv/bin/python -m pytest -n "${TEST_PROCESSES:-2}" --dist worksteal -m "study and not long" "$@"

@@ -22,24 +22,20 @@ from deepkoco.diagnose.data_sheet import with_usual_spread
 from deepkoco.diagnose.evidence.classes import APART
 from deepkoco.diagnose.evidence.forward import Selection
 from deepkoco.diagnose.evidence.minor import Minor
-from deepkoco.diagnose.evidence.selected import Selected
 from deepkoco.diagnose.evidence.selection import DETECTION
 from deepkoco.diagnose.explanation import (
     MOST_EXTENSIONS,
-    Begun,
     Explanation,
     begun,
     explain,
     of_mean,
     seen_before,
 )
-from deepkoco.diagnose.finer_steps import steps_of_rivals
 from deepkoco.diagnose.healthy import extended
 from deepkoco.diagnose.little_of_all import usual_sizes, with_little, with_little_of_all
 from deepkoco.diagnose.nothing_at_once import (
     PLAUSIBLE,
     Weights,
-    alike_in,
     are_weighed,
     is_far_above,
     losses_of,
@@ -51,7 +47,6 @@ from deepkoco.diagnose.one_change import one_change
 from deepkoco.diagnose.probability.answer import Answer
 from deepkoco.diagnose.request import DiagnosisRequest
 from deepkoco.diagnose.residuals.residuals import dispersion, missing_torque
-from deepkoco.diagnose.residuals.whiteness import more_than_noise
 from deepkoco.fit.fit import Fit, Trial
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.systems import Parameter
@@ -83,9 +78,6 @@ def explained(
         nothing = nothing_at_once(request, at, weights, unfitted, joined)
         if nothing is not None:
             return _nothing(with_little_of_all(request, nothing, request.causes))
-        cause = _cause_at_once(request, at, weights, unfitted, joined)
-        if cause is not None:
-            return cause
     explanation = weigh(request, explain(request, learned, unfitted, joined, at), more, weights)
     return _with_one_cause(request, explanation, more)
 
@@ -138,47 +130,6 @@ def weigh(
     if not plausible:
         return _nothing(with_little_of_all(request, explanation, causes))
     return _selected_again(request, explanation, plausible, more)
-
-
-def _cause_at_once(
-    request: DiagnosisRequest,
-    at: Begun,
-    weights: Weights,
-    unfitted: Sequence[str],
-    joined: tuple[str, ...],
-) -> Explanation | None:
-    """Return an explanation by the causes that weigh most, if these leave only noise; else None.
-
-    The selection among the whole catalogue comes before the weights, and then a second one among the causes that they
-    leave. Where the second one explains the logs to their noise, the first has nothing to add but rivals, and the best
-    of the first ranking is one here, too. Lost commands are searched beside what it names.
-    """
-    base, ranking = at.base, at.first.ranking
-    if base.learned.healthy is not None or not ranking.candidates:
-        return None
-    if not request.limit.allows("the causes that weigh most"):
-        return None
-    try:
-        weights = weights.beside(alike_in(ranking))
-        best = weights.answer.explanations[0]
-        if not best.causes or UNKNOWN in best.causes or weights.rough(request.causes) > best.log_weight:
-            return None
-    except (DivergedError, np.linalg.LinAlgError):
-        return None
-    names = {c.name for c in _plausible(weights.answer, request.causes)} | {ranking.best.cause.name}
-    rivals = [c for c in request.causes if c.name in names or c.traced]
-    words = (*unfitted, *ranking.unfitted)
-    begun_with = Explanation(
-        base, ranking, Selected(base.reference, (), (), base.problem), joined, words, weights.answer
-    )
-    # That of the best cause alone: of what a refit without causes leaves, almost nothing is noise.
-    found = _selected_again(request, begun_with, rivals, 0, ranking.deflation)
-    named, start = found.found, found.base.start
-    if not found.weighed or not named.accepted or named.lost is not None:
-        return None
-    if more_than_noise(named.final, base.train, start) is not None:
-        return None
-    return found if steps_of_rivals(found.base, named).parts == 1 else None
 
 
 def _with_one_cause(request: DiagnosisRequest, explanation: Explanation, more: int) -> Explanation:
@@ -254,24 +205,11 @@ def _nothing(explanation: Explanation, usual: bool = True) -> Explanation:
 
 
 def _selected_again(
-    request: DiagnosisRequest,
-    explanation: Explanation,
-    plausible: Sequence[Cause],
-    more: int,
-    deflation: float | None = None,
+    request: DiagnosisRequest, explanation: Explanation, plausible: Sequence[Cause], more: int
 ) -> Explanation:
-    """Select among some causes, on a refit with parameters and other small effects as any unit has them.
-
-    Args:
-        request: The logs.
-        explanation: Causes that were selected before.
-        plausible: The causes.
-        more: Times that causes may still join the baseline because the healthy logs are consistent with them.
-        deflation: How much less residuals tell than independent ones; None for those of the causes selected before.
-    """
+    """Select among some causes, on a refit with parameters and other small effects as any unit has them."""
     base, found = explanation.base, explanation.found
-    if deflation is None:
-        deflation = max(dispersion(found.final, base.train).deflation, base.start.least_deflation)
+    deflation = max(dispersion(found.final, base.train).deflation, base.start.least_deflation)
     usual = base.start if base.learned.healthy is not None else with_usual_spread(base.start)
     names = {c.name for c in plausible}
     selected = {**{m.cause: m.fit for m in found.minor}, **dict.fromkeys(found.accepted, found.final)}

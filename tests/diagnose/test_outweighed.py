@@ -72,6 +72,7 @@ def test_without_weights_nothing_is_doubted():
 
 
 @pytest.mark.study
+@pytest.mark.long
 def test_a_spring_on_one_side_is_no_scale_of_an_encoder(tmp_path):
     # sensor_scale explains 97 % of the difference, and leaves 24,000 noise variances where the healthy log leaves 1.
     handed = draw_case(45000, 11, 20.0).question(tmp_path).handed
@@ -81,6 +82,7 @@ def test_a_spring_on_one_side_is_no_scale_of_an_encoder(tmp_path):
 
 
 @pytest.mark.study
+@pytest.mark.long
 def test_friction_that_is_not_quite_of_the_catalogue_keeps_its_name_beside_a_healthy_log(tmp_path):
     handed = draw_case(38000, 7, 20.0).question(tmp_path).handed
     result = diagnose(list(handed.log), handed.system, healthy=list(handed.healthy))

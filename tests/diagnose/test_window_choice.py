@@ -81,6 +81,7 @@ def test_windows_are_as_short_as_a_simulation_that_runs_away_needs(urdf):
 
 
 @pytest.mark.study
+@pytest.mark.long
 @pytest.mark.timeout(900)
 def test_friction_of_an_arm_is_named_though_its_file_says_nothing_of_its_drives(urdf):
     arm = load_system(str(urdf))
