@@ -39,10 +39,31 @@ def house_style() -> Iterator[None]:
         yield
 
 
+@contextmanager
+def laid_out(figure: Figure) -> Iterator[None]:
+    """Lay a figure out once for all its drawings inside.
+
+    Matplotlib draws a figure that lays itself out twice each time that it is saved, and the first drawing is for the
+    layout alone.
+    """
+    engine = figure.get_layout_engine()
+    if engine is None:
+        yield
+        return
+    FigureCanvasAgg(figure)
+    with house_style():
+        engine.execute(figure)
+    figure.set_layout_engine("none")
+    try:
+        yield
+    finally:
+        figure.set_layout_engine(engine)
+
+
 def as_png(figure: Figure) -> bytes:
     """A figure as PNG; the same figure gives the same bytes."""
     buffer = io.BytesIO()
     FigureCanvasAgg(figure)
-    with house_style():  # constrained layout is worked out when drawn
+    with house_style(), laid_out(figure):
         figure.savefig(buffer, format="png", dpi=130, metadata={"Software": None})
     return buffer.getvalue()

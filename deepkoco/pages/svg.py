@@ -12,7 +12,7 @@ from markupsafe import Markup
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
-from deepkoco.output.picture import house_style
+from deepkoco.output.picture import house_style, laid_out
 from deepkoco.pages.colours import variable_of
 
 _COLOUR = re.compile(r"#[0-9a-f]{6}\b")
@@ -37,7 +37,8 @@ def as_svg(figure: Figure, name: str, label: str) -> Markup:
         The element.
     """
     buffer = io.BytesIO()
-    with house_style(), matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
+    style = {"svg.fonttype": "none", "svg.hashsalt": name}
+    with laid_out(figure), house_style(), matplotlib.rc_context(style):
         FigureCanvasSVG(figure)
         figure.savefig(buffer, format="svg", dpi=160, metadata={"Date": None, "Creator": None})
     root = ElementTree.fromstring(buffer.getvalue())

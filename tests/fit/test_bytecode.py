@@ -14,7 +14,8 @@ from deepkoco import Channel, Parameter, System
 from deepkoco.fit.data.noise import Noise
 from deepkoco.fit.data.windows import CommandSeries, Windows
 from deepkoco.fit.simulate import simulator
-from deepkoco.fit.simulate.bytecode.along_windows import PLACES
+from deepkoco.fit.simulate.bytecode import along_windows as lanes_of
+from deepkoco.fit.simulate.bytecode.along_windows import PLACES, has_program
 from deepkoco.fit.simulate.bytecode.machine import BLOCK, execute
 from deepkoco.fit.simulate.bytecode.translate import Nodes, Rows, instructions, translated
 from deepkoco.fit.simulate.simulator import integrate
@@ -108,6 +109,24 @@ def test_effects_act_in_their_lanes_alone(monkeypatch):
     # Torch gives a joint that turns its mean acceleration in all lanes, with dry friction or without.
     for own, wanted in zip(fast.value, slow.value, strict=True):
         torch.testing.assert_close(own, wanted, rtol=1e-8, atol=1e-9)
+
+
+def test_an_effect_without_a_program_leaves_the_lanes_of_others_compiled(monkeypatch):
+    rng = np.random.default_rng(9)
+    base = make_system("rod_pendulum")
+    system = ExtendedSystem(base, ("spring", "gain"))
+    lanes = {"spring": slice(1, 3)}
+    values = drawn(system, rng)
+    for p in system.parameters:
+        if p.name.startswith("spring."):
+            values[p.name][[0, 3, 4]] = p.value
+    known = lanes_of._known
+
+    def none_with_a_spring(acting, *given):
+        return None if "spring" in [e.name for e in acting.effects] else known(acting, *given)
+
+    monkeypatch.setattr(lanes_of, "_known", none_with_a_spring)
+    assert_same(*both(monkeypatch, system, windows_of(base, rng), values, started(system, rng), None, lanes))
 
 
 def test_a_lane_moves_the_same_to_the_last_bit_whatever_is_simulated_beside_it():
@@ -217,6 +236,30 @@ def test_equations_that_no_trace_can_follow_are_left_to_torch(kind, monkeypatch)
     monkeypatch.setattr(simulator, "in_torch", lambda *given: called.append(1) or in_torch(*given))
     integrate(system, windows_of(system, rng), drawn(system, rng), started(system, rng))
     assert called
+
+
+class Winch(System):
+    """A rotor so light that large effects make its steps diverge."""
+
+    joint_units = ("rad",)
+    parameters = (
+        Parameter("inertia", 9e-5, "kg m2", 1e-6, 1e-2, 3e-6, "J"),
+        Parameter("damping", 6e-5, "N m s/rad", 0.0, 0.01, 2e-5, "b"),
+    )
+    commands = (Channel("current", "A", "command", -12.0, 12.0),)
+    measurements = (Channel("angle", "rad", "measurement", noise_sd=1e-3),)
+
+    def accelerations(self, p):
+        def law(motion):
+            torque = 0.05 * motion.efforts[0] - p["damping"] * motion.speeds[0] + motion.load(0)
+            return (torque / p["inertia"],)
+
+        return law
+
+
+def test_programs_are_compared_where_the_motion_is_moderate():
+    # Torch and bytecode round the sine of an angle of 1e80 rad differently, which says nothing of the program.
+    assert has_program(ExtendedSystem(Winch(), ("stribeck", "quadratic", "cogging")), 0.01)
 
 
 def computed(function, *inputs):

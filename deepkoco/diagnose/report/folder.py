@@ -16,7 +16,7 @@ from deepkoco.diagnose.report.figures.all_figures import draw_all
 from deepkoco.diagnose.report.figures.layout import DESKTOP, PHONE
 from deepkoco.diagnose.report.page import render
 from deepkoco.output.new_folder import new_folder
-from deepkoco.output.picture import Picture
+from deepkoco.output.picture import Picture, laid_out
 from deepkoco.output.whole_file import write_whole_text
 from deepkoco.pages.figures import show_both
 from deepkoco.pages.links import Link
@@ -57,11 +57,12 @@ def write_report(
         pictures, phone = draw_all(diagnosis, DESKTOP), draw_all(diagnosis, PHONE)
         shown = []
         for picture, small in zip(pictures, phone, strict=True):
-            (partial / f"{picture.name}.png").write_bytes(_png(picture, DPI))
+            with laid_out(picture.figure):
+                (partial / f"{picture.name}.png").write_bytes(_png(picture, DPI))
+                shown.append(show_both(picture, f"{picture.name}.csv", small))
             picture.table.to_csv(
                 partial / f"{picture.name}.csv", index=False, lineterminator="\n", float_format="%.8g"
             )
-            shown.append(show_both(picture, f"{picture.name}.csv", small))
         (partial / "report.json").write_text(
             json.dumps(diagnosis.to_json(), indent=2) + "\n", encoding="utf-8"
         )
