@@ -92,13 +92,24 @@ def _apply_backlash(commands: Tensor, t: Tensor, p: Parameters) -> Tensor:
     Source: Tao and Kokotovic, Adaptive Control of Systems with Actuator and Sensor Nonlinearities (1996).
     """
     play, given = torch.as_tensor(p["width"], dtype=torch.float64).numpy(), commands.numpy()
-    low, high = given - play, given + play
-    result = np.empty(np.broadcast_shapes(given.shape, low.shape))
-    last = np.zeros_like(low[0])
+    shape = np.broadcast_shapes(given.shape, play.shape)
+    lanes = [np.ascontiguousarray(np.broadcast_to(x, shape).reshape(len(given), -1)) for x in (given, play)]
+    return torch.from_numpy(_followed(lanes[0], lanes[1][0]).reshape(shape))
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _followed(given: np.ndarray, play: np.ndarray) -> np.ndarray:
+    """Efforts (K, L) that follow commands (K, L) behind half plays (L,)."""
+    result = np.empty_like(given)
+    last = np.zeros(given.shape[1])
     for k in range(len(given)):
-        last = np.minimum(np.maximum(last, low[k]), high[k])
-        result[k] = last
-    return torch.from_numpy(result)
+        for lane in range(given.shape[1]):
+            low, high = given[k, lane] - play[lane], given[k, lane] + play[lane]
+            # Comparisons that fail for a play that is not a number pass it on; min and max do not.
+            pulled = last[lane] if last[lane] >= low else low
+            last[lane] = pulled if pulled <= high else high
+            result[k, lane] = last[lane]
+    return result
 
 
 def _gain_drift(system: System, command: int = 0) -> tuple[Parameter, ...]:
