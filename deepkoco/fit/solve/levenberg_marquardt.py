@@ -19,6 +19,7 @@ from torch import Tensor
 
 from deepkoco.fit.fit_types import Fit, Trial
 from deepkoco.fit.shooting import ShootingProblem
+from deepkoco.fit.solve.covariance import covariance_of
 from deepkoco.fit.solve.normal_equations import NormalEquations
 from deepkoco.fit.solve.scaled_inverse import DivergedError, scaled_inverse
 from deepkoco.fit.tangent import Tangent, batches, simulated
@@ -213,11 +214,13 @@ class Batch:
         full = normal.reduced(0.0)[0].numpy()
         if not np.isfinite(full).all():
             return self._diverged(k)
-        information = full[:p, :p] - self.penalties[k].at(self.theta[k, self.columns[k]])[0]
+        prior = np.diag(np.append(np.zeros(p), self.problem.nuisances.precision.numpy()))
+        prior[:p, :p] = self.penalties[k].at(self.theta[k, self.columns[k]])[0]
+        information = full[:p, :p] - prior[:p, :p]
         if len(full) > p:
             across = full[:p, p:]
             information = information - across @ np.linalg.solve(full[p:, p:], across.T)
-        covariance = scaled_inverse(full)[:p, :p] if len(full) else full
+        covariance = covariance_of(full, prior)[:p, :p]
         return Fit(
             trial.name,
             trial.free,
