@@ -129,6 +129,21 @@ def test_a_refit_that_strays_from_units_of_one_make_leaves_a_misfit(stage, rough
     assert verdict_of(found, start, windows, before, gain, False, ()).verdict == expected
 
 
+@pytest.mark.parametrize(("held_out", "expected"), [(1.0, "cause"), (0.9, "cause"), (1.2, "unknown")])
+def test_what_a_cause_gains_by_a_prior_is_less_what_held_out_windows_lose(stage, held_out, expected):
+    windows, start, flat = stage
+    sign = 1.0 - 2.0 * torch.randint(2, windows.valid.shape, generator=torch.Generator().manual_seed(0))
+
+    def leaving(chi2):
+        fit = flat(chi2)
+        return replace(fit, residual=fit.residual * sign)
+
+    found = Selected(leaving(1.0), (KNOWN["viscous"],), ((None, ("viscous",)),), None)
+    before = replace(leaving(1.0), penalty=45.0)
+    gain = SimpleNamespace(fits={"refit": leaving(1.0), "extended": leaving(held_out)}, reduction=0.0)
+    assert verdict_of(found, start, windows, before, gain, True, ()).verdict == expected
+
+
 def test_a_learned_load_competes_again_only_with_causes_that_have_not_outweighed_it(stage):
     windows, start, leaving = stage
     found = Selected(leaving(1.05), (KNOWN["coulomb"],), (), None)

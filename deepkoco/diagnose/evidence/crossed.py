@@ -47,7 +47,7 @@ def crossed(
     """
     leaders, front = in_front(ranking)
     trials = [
-        trial_of(problem, start, accepted, other.cause, values, leader.fit.state, ranking.reference)
+        trial_of(problem, start, accepted, other.cause, values, leader.fit.state, leader.fit)
         for other in front
         for leader in leaders
         if leader is not other
@@ -67,7 +67,7 @@ def crossed(
 def better_reference(
     problem: FitProblem, start: Baseline, accepted: Sequence[Cause], ranking: Ranking
 ) -> Fit | None:
-    """Return a refit that starts where the leading candidates ended, without their causes; None if it is no better.
+    """Return a refit that starts where the candidates in front ended, without their causes; None if it is no better.
 
     Args:
         problem: The windows.
@@ -75,14 +75,14 @@ def better_reference(
         accepted: Causes that are part of every fit.
         ranking: The ranking.
     """
-    leaders, _ = in_front(ranking)
+    _, front = in_front(ranking)
     reference, trials = ranking.reference, []
-    for leader in leaders:
+    for leader in front:
         values = {**leader.fit.values, **{n: start.values[n] for n in leader.cause.free}}
         prior = prior_with(problem, start, accepted, values)
         if {*reference.free} <= {*prior.names}:
             trials.append(
-                Trial(reference.name, reference.free, prior, values, leader.fit.state, reference.nuisance)
+                Trial(reference.name, reference.free, prior, values, leader.fit.state, leader.fit.nuisance)
             )
     close = TOLERANCE * ranking.dispersion.correlation
     fits = [fit for fit in problem.fit(trials, ITERATIONS, close) if not fit.diverged]

@@ -13,8 +13,8 @@ from deepkoco.diagnose.evidence.event_windows import touched
 from deepkoco.diagnose.evidence.flexible import BENDING, FLEXIBLE_CAUSES
 from deepkoco.diagnose.evidence.forward import MOST_CAUSES
 from deepkoco.diagnose.evidence.sanity_checks import doubts_of_commands
-from deepkoco.diagnose.evidence.selected import Selected
-from deepkoco.diagnose.evidence.selection import FURTHER
+from deepkoco.diagnose.evidence.selected import Selected, fall_of_bic
+from deepkoco.diagnose.evidence.selection import DETECTION, FURTHER
 from deepkoco.diagnose.gain import Gain
 from deepkoco.diagnose.residuals.residuals import dispersion, structured_from
 from deepkoco.diagnose.verdict.unknown import carries_over, explained_share
@@ -128,6 +128,15 @@ def verdict_of(
             return Ruling(
                 "unknown", f"With {_told(found)}, the fitted windows improve, but the held-out ones do not."
             )
+    if gain is not None and causes:
+        # A cause may gain by the price of a prior and leave chi2 nearly as it is. Held-out windows are evidence, too.
+        fall, lost = fall_of_bic(found, before, after, start, train), _lost(gain, after, start, train)
+        if fall - lost <= DETECTION < fall:
+            return Ruling(
+                "unknown",
+                f"With {_told(found)}, the fitted windows lower the BIC by {fall:.0f} and the held-out ones raise it "
+                f"by {lost:.0f}; a fall of more than {DETECTION:.0f} is asked for.",
+            )
     if not causes:
         return Ruling("cause")
     families = [CAUSES[kind_of(name)].family for name in found.steps[0][1]]
@@ -135,6 +144,12 @@ def verdict_of(
         # Almost every mechanism can also be written as another value of a parameter; that is no rival mechanism.
         families = [f for f in families if f != PARAMETER]
     return Ruling("ambiguous" if len(set(families)) > 1 else "cause")
+
+
+def _lost(gain: Gain, after: Fit, start: Baseline, train: Windows) -> float:
+    """Return the rise of the BIC by the held-out windows; negative where the causes improve them."""
+    deflation = max(dispersion(after, train).deflation, start.least_deflation)
+    return (gain.fits["extended"].chi2 - gain.fits["refit"].chi2) / deflation
 
 
 def _told(found: Selected) -> str:
