@@ -20,7 +20,6 @@ from deepkoco.diagnose.baseline import (
 from deepkoco.diagnose.causes import Cause, catalogue, is_changed, kind_of, measured_channels, shown_causes
 from deepkoco.diagnose.causes.timing import LOST_COMMANDS
 from deepkoco.diagnose.evidence.classes import equivalent
-from deepkoco.diagnose.evidence.crossed import at_another_place, better_reference
 from deepkoco.diagnose.evidence.elimination import BENDING, eliminated
 from deepkoco.diagnose.evidence.priors import freed, prior_with
 from deepkoco.diagnose.evidence.refine_ranking import front_settled
@@ -137,12 +136,6 @@ def _learn(
         if ranking.best.delta_bic < DETECTION:
             break
         ranking = front_settled(problem, counted, accepted, ranking)
-        better = better_reference(problem, counted, accepted, ranking)
-        if better is not None and at_another_place(ranking, better):
-            # The refit was in a worse minimum. What causes without any effect gain over it is no effect of this unit.
-            fresh = spread_of(replace(told, fit=better))
-            spread, told = fresh.with_floor() if each else fresh, fresh.healthy
-            continue
         best = ranking.best
         alike[best.cause.name] = equivalent(problem, counted, ranking, tuple(accepted))
         # A cause that imitated a mixture of others becomes superfluous once these are added. It is not tried again.
