@@ -37,8 +37,11 @@ def as_svg(figure: Figure, name: str, label: str) -> Markup:
         The element.
     """
     buffer = io.BytesIO()
-    style = {"svg.fonttype": "none", "svg.hashsalt": name}
-    with laid_out(figure), house_style(), matplotlib.rc_context(style):
+    with (
+        laid_out(figure),
+        house_style(),
+        matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": name}),
+    ):
         FigureCanvasSVG(figure)
         figure.savefig(buffer, format="svg", dpi=160, metadata={"Date": None, "Creator": None})
     root = ElementTree.fromstring(buffer.getvalue())

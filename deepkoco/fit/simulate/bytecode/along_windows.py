@@ -212,10 +212,11 @@ def _in_torch(system: System, values: Mapping[str, Tensor], given: StepsInput) -
     joints = system.joints
     found = in_torch(equations_of(system, values, None), given)
     shape = given.start[0].shape
-    ends = (
-        np.stack([x.expand(-1, *shape).numpy() for x in side[joints:]]) for side in (found.left, found.right)
-    )
-    return np.stack([x.expand(-1, *shape).numpy() for x in found.value]), *ends
+
+    def stacked(parts: Sequence[Tensor]) -> np.ndarray:
+        return np.stack([x.expand(-1, *shape).numpy() for x in parts])
+
+    return stacked(found.value), stacked(found.left[joints:]), stacked(found.right[joints:])
 
 
 def _run(system: System, values: Mapping[str, Tensor], given: StepsInput, program: Program) -> Rolled:
