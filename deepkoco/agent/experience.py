@@ -133,7 +133,7 @@ class Experience:
         """
         scale = self.scale
         if scale is None or not scale.discount:
-            gamma = 0.0 if linear else self.buffer.discount
+            gamma = 0.0 if linear else self.buffer.discount or self._config.value.discount
             found = [discounted_mean(episode.costs, gamma) for episode in episodes]
         elif linear:
             return None

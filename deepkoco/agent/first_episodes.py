@@ -44,7 +44,9 @@ def task_units(config: TrainingConfig, episodes: Sequence[Episode], low: Array, 
         high: a_max (M,).
     """
     cost = None
-    if config.measure_action_cost and episodes[0].observations.dim() == 2:
+    # A value of actions knows what they cost; R would charge it again, and at every step in full.
+    measured = config.measure_action_cost and not config.value.discount
+    if measured and episodes[0].observations.dim() == 2:
         cost = measure_action_cost(episodes[: random_count(config)])
     return TaskScale.of(episodes, low, high, cost, config.cost_discount)
 

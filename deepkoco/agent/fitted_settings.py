@@ -33,7 +33,8 @@ def fitted(config: TrainingConfig, random: Sequence[Episode]) -> TrainingConfig:
     """
     horizon = fitted_horizon(config, random) if config.fit_horizon else config.horizon
     short = horizon < config.horizon
-    far = config.scale and not config.cost_discount and (short or out_of_sight(random, config.horizon))
+    sees_far = bool(config.cost_discount or config.value.discount)
+    far = config.scale and not sees_far and (short or out_of_sight(random, config.horizon))
     if short:
         planned = max(2, round(config.planner.horizon * horizon / config.horizon))
         config = replace(config, horizon=horizon, planner=replace(config.planner, horizon=planned))
