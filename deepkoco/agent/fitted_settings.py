@@ -10,6 +10,7 @@ import numpy as np
 from deepkoco.agent.buffer import Episode
 from deepkoco.agent.config import TrainingConfig
 from deepkoco.koopman.exported import Array
+from deepkoco.planning.config import PlannerConfig
 
 CHEAP_STEPS, MARGIN = 0.2, 0.1
 """Rewards are rare where fewer than this share of the steps cost less than the dearest, by this share of the range."""
@@ -39,6 +40,18 @@ def fitted(config: TrainingConfig, random: Sequence[Episode]) -> TrainingConfig:
         planned = max(2, round(config.planner.horizon * horizon / config.horizon))
         config = replace(config, horizon=horizon, planner=replace(config.planner, horizon=planned))
     return replace(config, cost_discount=config.rare_discount) if far else config
+
+
+def linear_horizon(config: TrainingConfig) -> int:
+    """H of a linear model: that of the settings, but not less than the default where a value of actions sees so far.
+
+    A linear model has no such value, and a plan of one step would not be a fair one.
+
+    Args:
+        config: As `fitted` leaves it.
+    """
+    own = config.planner.horizon
+    return max(own, PlannerConfig().horizon) if config.value.discount else own
 
 
 def often_ended(random: Sequence[Episode]) -> bool:
