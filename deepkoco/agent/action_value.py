@@ -86,7 +86,7 @@ class ActionValue:
         size = observation_size + low.size
         self._networks = nn.ModuleList(ReluNetwork(size, config.hidden, 1) for _ in range(2))
         self._behind = copy.deepcopy(self._networks).requires_grad_(False)
-        self._optimiser = torch.optim.Adam(self._networks.parameters(), config.learning_rate)
+        self._optimiser = torch.optim.Adam(self._networks.parameters(), config.learning_rate, fused=True)
         self._generator = torch.Generator().manual_seed(int(torch.randint(2**31, ())))
 
     def update(self, batch: ChunkBatch) -> float:

@@ -197,7 +197,9 @@ class TrainingConfig:
             if not 0 <= getattr(self, name) < 1:
                 raise TrainingConfigError(f"{name} = {getattr(self, name)}; give a value in [0, 1)")
         if self.value.discount and self.cost_discount:
-            raise TrainingConfigError("value.discount and cost_discount take the place of the same cost; give one")
+            raise TrainingConfigError(
+                "value.discount and cost_discount take the place of the same cost; give one"
+            )
         self.value.check()
         if self.noise_unit not in NOISE_UNITS:
             raise TrainingConfigError(

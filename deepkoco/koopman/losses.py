@@ -98,7 +98,8 @@ def chunk_losses(
     rolled latents $s_k$ and costs $\hat c_k$ use B and C of the window's first step, as the planner does, or
     those that another rollout gives, which may add the error of its decoder to the sum.
     Where costs of other actions $a_k'$ are known, errors of $|C (s_k + B (a_k' - a_k))|^2 + a_k'^\top R a_k'$ count
-    too: the last action before step k as it might have been. Gradients flow through B (second order), through psi and its input, and into both sides of $L_{lin}$.
+    too: the last action before step k as it might have been. Gradients flow through B (second order), through psi
+    and its input, and into both sides of $L_{lin}$.
 
     Args:
         model: The latent model.
