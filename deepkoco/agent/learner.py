@@ -90,6 +90,7 @@ class Learner:
             self._value.update(batch)
             batch, others = self._value.labelled(batch)
         batch = batch.to(config.device)
+        others = None if others is None else others.to(config.device)
         losses = chunk_losses(
             self.model,
             batch,

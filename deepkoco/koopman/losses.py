@@ -59,6 +59,10 @@ class OtherActions:
     costs: Tensor
     weight: float
 
+    def to(self, device: str) -> OtherActions:
+        """The same on a device; see `ChunkBatch.to`."""
+        return OtherActions(self.actions.to(device), self.costs.to(device), self.weight)
+
 
 @dataclass
 class Losses:
