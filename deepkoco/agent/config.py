@@ -8,6 +8,7 @@ from typing import Any
 
 import torch
 
+from deepkoco.agent.action_value import ActionValueConfig
 from deepkoco.agent.exploration import NOISE_UNITS
 from deepkoco.agent.kept_weights import KEPT
 from deepkoco.koopman.model.model import ModelConfig
@@ -67,6 +68,8 @@ class TrainingConfig:
     """Sizes of the latent model."""
     planner: PlannerConfig = field(default_factory=PlannerConfig)
     """Settings of the planner."""
+    value: ActionValueConfig = field(default_factory=ActionValueConfig)
+    """A learned value of actions in the place of the cost, for goals beyond the horizon; none by default."""
     first_episodes: int = 90
     """Episodes of the first iteration, moved by noise alone unless `warm_start` says otherwise."""
     warm_start: float = 0.67
@@ -193,6 +196,11 @@ class TrainingConfig:
         for name in ("averaging", "noise_correlation", "cost_discount", "rare_discount", "warm_start"):
             if not 0 <= getattr(self, name) < 1:
                 raise TrainingConfigError(f"{name} = {getattr(self, name)}; give a value in [0, 1)")
+        if self.value.discount and self.cost_discount:
+            raise TrainingConfigError(
+                "value.discount and cost_discount take the place of the same cost; give one"
+            )
+        self.value.check()
         if self.noise_unit not in NOISE_UNITS:
             raise TrainingConfigError(
                 f'noise_unit = "{self.noise_unit}"; choose one of {", ".join(NOISE_UNITS)}'

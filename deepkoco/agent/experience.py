@@ -10,7 +10,7 @@ from deepkoco.agent.buffer import Episode, EpisodeBuffer
 from deepkoco.agent.config import TrainingConfig
 from deepkoco.agent.discounting import discounted_mean
 from deepkoco.agent.first_episodes import calm_rounds, planner_of_linear, task_units
-from deepkoco.agent.fitted_settings import fitted
+from deepkoco.agent.fitted_settings import fitted, linear_horizon
 from deepkoco.agent.replay_files import read_replay, write_replay
 from deepkoco.agent.task_scale import TaskScale
 from deepkoco.koopman.exported import Array, ExportedModel
@@ -90,7 +90,8 @@ class Experience:
     def linear_planner(self) -> PlannerConfig:
         """The same for linear models, whose weights are those of costs of single steps."""
         planner = self.learning.planner
-        return planner_of_linear(planner if self.scale is None else self.scale.of_steps.planner(planner))
+        planner = planner if self.scale is None else self.scale.of_steps.planner(planner)
+        return planner_of_linear(planner, linear_horizon(self.learning))
 
     @property
     def linear_action_weight(self) -> float | Array:
@@ -133,7 +134,7 @@ class Experience:
         """
         scale = self.scale
         if scale is None or not scale.discount:
-            gamma = 0.0 if linear else self.buffer.discount
+            gamma = 0.0 if linear else self.buffer.discount or self._config.value.discount
             found = [discounted_mean(episode.costs, gamma) for episode in episodes]
         elif linear:
             return None

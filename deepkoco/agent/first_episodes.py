@@ -16,7 +16,7 @@ from deepkoco.agent.buffer import Episode
 from deepkoco.agent.collection import collect_episodes, episode_costs
 from deepkoco.agent.config import TrainingConfig
 from deepkoco.agent.exploration import OrnsteinUhlenbeck, action_units
-from deepkoco.agent.fitted_settings import fitted, often_ended
+from deepkoco.agent.fitted_settings import fitted, linear_horizon, often_ended
 from deepkoco.agent.seeding import Purpose, derive_seed
 from deepkoco.agent.task_scale import TaskScale, lowest_cost, with_end
 from deepkoco.koopman.exported import Array
@@ -44,7 +44,9 @@ def task_units(config: TrainingConfig, episodes: Sequence[Episode], low: Array, 
         high: a_max (M,).
     """
     cost = None
-    if config.measure_action_cost and episodes[0].observations.dim() == 2:
+    # A value of actions knows what they cost; R would charge it again, and at every step in full.
+    measured = config.measure_action_cost and not config.value.discount
+    if measured and episodes[0].observations.dim() == 2:
         cost = measure_action_cost(episodes[: random_count(config)])
     return TaskScale.of(episodes, low, high, cost, config.cost_discount)
 
@@ -106,9 +108,14 @@ def make_noise(
     return OrnsteinUhlenbeck(count, low.size, config.noise_correlation, variance, generator, unit, floor)
 
 
-def planner_of_linear(planner: PlannerConfig) -> PlannerConfig:
-    """The same planner for a linear model, which has no decoder to plan along a trajectory with, and no need for it."""
-    return replace(planner, method="lmpc", linearisation="frozen")
+def planner_of_linear(planner: PlannerConfig, horizon: int | None = None) -> PlannerConfig:
+    """The same planner for a linear model, which has no decoder to plan along a trajectory with, and no need for it.
+
+    Args:
+        planner: Of the networks.
+        horizon: H, see `linear_horizon`; None leaves it.
+    """
+    return replace(planner, method="lmpc", linearisation="frozen", horizon=horizon or planner.horizon)
 
 
 def fit_linear(
@@ -203,7 +210,8 @@ def collect_first(
         episodes += collect_episodes(envs(TRIALS), agent, seed)
         floor, alone, wanted = calm_rounds(config, episodes)
     random, config = alone, fitted(config, episodes)
-    linear, failures, planner = None, 0, planner_of_linear(config.planner)
+    linear, failures = None, 0
+    planner = planner_of_linear(config.planner, linear_horizon(config))
     if random < count and episodes[0].observations.dim() == 2:
         weight: float | Array = config.model.action_weight
         units = task_units(config, episodes, low, high) if config.scale else None

@@ -10,6 +10,7 @@ import numpy as np
 from deepkoco.agent.buffer import Episode
 from deepkoco.agent.config import TrainingConfig
 from deepkoco.koopman.exported import Array
+from deepkoco.planning.config import PlannerConfig
 
 CHEAP_STEPS, MARGIN = 0.2, 0.1
 """Rewards are rare where fewer than this share of the steps cost less than the dearest, by this share of the range."""
@@ -33,11 +34,24 @@ def fitted(config: TrainingConfig, random: Sequence[Episode]) -> TrainingConfig:
     """
     horizon = fitted_horizon(config, random) if config.fit_horizon else config.horizon
     short = horizon < config.horizon
-    far = config.scale and not config.cost_discount and (short or out_of_sight(random, config.horizon))
+    sees_far = bool(config.cost_discount or config.value.discount)
+    far = config.scale and not sees_far and (short or out_of_sight(random, config.horizon))
     if short:
         planned = max(2, round(config.planner.horizon * horizon / config.horizon))
         config = replace(config, horizon=horizon, planner=replace(config.planner, horizon=planned))
     return replace(config, cost_discount=config.rare_discount) if far else config
+
+
+def linear_horizon(config: TrainingConfig) -> int:
+    """H of a linear model: that of the settings, but not less than the default where a value of actions sees so far.
+
+    A linear model has no such value, and a plan of one step would not be a fair one.
+
+    Args:
+        config: As `fitted` leaves it.
+    """
+    own = config.planner.horizon
+    return max(own, PlannerConfig().horizon) if config.value.discount else own
 
 
 def often_ended(random: Sequence[Episode]) -> bool:

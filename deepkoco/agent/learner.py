@@ -9,8 +9,10 @@ from typing import Any
 import torch
 from torch.optim.swa_utils import get_ema_multi_avg_fn
 
-from deepkoco.agent.config import TrainingConfig
+from deepkoco.agent.action_value import ActionValue
+from deepkoco.agent.config import TrainingConfig, TrainingConfigError
 from deepkoco.agent.input_shrinkage import InputShrinkage
+from deepkoco.koopman.exported import Array
 from deepkoco.koopman.losses import ChunkBatch, Losses, chunk_losses
 from deepkoco.koopman.model.model import KoopmanModel
 from deepkoco.koopman.model.rollout import ROLLOUTS
@@ -27,13 +29,23 @@ class Learner:
         averaged: The moving average.
     """
 
-    def __init__(self, observation: int | Sequence[int], action_size: int, config: TrainingConfig) -> None:
+    def __init__(
+        self,
+        observation: int | Sequence[int],
+        action_size: int,
+        config: TrainingConfig,
+        limits: tuple[Array, Array] | None = None,
+    ) -> None:
         """Make the model from the global generator of torch; seed it first.
 
         Args:
             observation: N, or the shape of what the environment gives.
             action_size: M.
             config: Hyper-parameters.
+            limits: a_min and a_max (M,) in the units that are learned in; only a value of actions needs them.
+
+        Raises:
+            TrainingConfigError: A value of actions is asked for, and frames are observed or no limits are given.
         """
         self._config = config
         # Made on the CPU, so that a seed gives the same weights on every device.
@@ -52,6 +64,14 @@ class Learner:
             weight_decay=2.0 * config.weight_penalty,
             fused=True,
         )
+        self._value: ActionValue | None = None
+        if config.value.discount:
+            if limits is None or self.model.frame_encoder is not None:
+                raise TrainingConfigError(
+                    "value.discount needs states as observations and limits of the actions; give 0 to learn the "
+                    "cost of the step"
+                )
+            self._value = ActionValue(self.model.observation_size, *limits, config.value)
 
     def update(self, batch: ChunkBatch, step_size: float = 1.0, horizon: int | None = None) -> Losses:
         """Make one gradient step.
@@ -65,7 +85,12 @@ class Learner:
             The losses before the step.
         """
         config = self._config
+        others = None
+        if self._value is not None:
+            self._value.update(batch)
+            batch, others = self._value.labelled(batch)
         batch = batch.to(config.device)
+        others = None if others is None else others.to(config.device)
         losses = chunk_losses(
             self.model,
             batch,
@@ -73,6 +98,7 @@ class Learner:
             config.cost_weight,
             ROLLOUTS[config.rollout],
             config.relative_cost,
+            others,
         )
         self._optimiser.zero_grad()
         losses.total.backward()
@@ -90,6 +116,8 @@ class Learner:
     def state_dict(self) -> dict[str, Any]:
         """Weights, averaged weights and optimiser."""
         parts = {"model": self.model, "average": self.averaged, "optimiser": self._optimiser}
+        if self._value is not None:
+            parts["value"] = self._value
         return {name: part.state_dict() for name, part in parts.items()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -101,3 +129,5 @@ class Learner:
         self.model.load_state_dict(state["model"])
         self.averaged.load_state_dict(state["average"])
         self._optimiser.load_state_dict(state["optimiser"])
+        if self._value is not None:
+            self._value.load_state_dict(state["value"])

@@ -8,6 +8,7 @@ from contextlib import suppress
 from deepkoco.agent.buffer import Episode
 from deepkoco.agent.config import TrainingConfig
 from deepkoco.agent.first_episodes import fit_linear
+from deepkoco.agent.fitted_settings import linear_horizon
 from deepkoco.agent.task_scale import TaskScale
 from deepkoco.koopman.exported import Array
 from deepkoco.koopman.lifting.lifted_linear import LiftedLinearModel, LiftedModelError
@@ -50,7 +51,7 @@ def fit_candidates(
                     chosen,
                     config.model.time_step,
                     action_weight,
-                    config.planner.horizon,
+                    linear_horizon(config),
                     seed,
                     share,
                     None if share is None else units,

@@ -79,7 +79,7 @@ class TaskScale:
         episodes = [without_action_cost(episode, charged) for episode in episodes]
         lowest = lowest_cost(episodes)
         cost = _unit([with_end(episode, lowest, 1) for episode in episodes], lowest)
-        action = np.where(high > low, (high - low) / 4.0, 1.0)
+        action = action_unit(low, high)
         if episodes[0].observations.dim() != 2:
             return cls(np.zeros(0), np.zeros(0), action, cost, lowest, charged)
         seen = np.concatenate([episode.observations.numpy() for episode in episodes]).astype(np.float64)
@@ -214,6 +214,11 @@ class TaskScale:
         charged = np.array(state.get("action_cost", []), np.float64)  # earlier releases did not measure it
         later = (state.get(name, 0.0) for name in ("discount", "step_cost"))
         return cls(mean, spread, action, state["cost"], state["lowest"], charged, *later)
+
+
+def action_unit(low: Array, high: Array) -> Array:
+    """What counts as 1 of each action (M,): a quarter of its range."""
+    return np.where(high > low, (high - low) / 4.0, 1.0)
 
 
 def _unit(episodes: Sequence[Episode], lowest: float) -> float:

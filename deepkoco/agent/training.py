@@ -52,6 +52,7 @@ from deepkoco.agent.seeding import Purpose, derive_seed
 from deepkoco.agent.standing import Report, Standing
 from deepkoco.agent.stopwatch import Stopwatch
 from deepkoco.agent.stored_controller import MODEL_FOLDER, StoredController, write_controller
+from deepkoco.agent.task_scale import action_unit
 from deepkoco.agent.trained import trained_deepkoco
 from deepkoco.koopman.model.model import KoopmanModel
 
@@ -104,7 +105,9 @@ class Trainer:
         observation, self._low, self._high = box_sizes(self._pool.get(random_count(config), make_envs))
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(derive_seed(seed, Purpose.WEIGHTS))
-            self._learner = Learner(observation, self._low.size, config)
+            unit = action_unit(self._low, self._high) if config.scale else np.ones_like(self._low)
+            limits = self._low / unit, self._high / unit
+            self._learner = Learner(observation, self._low.size, config, limits)
         recordings = 1 if self._learner.model.frame_encoder is None else config.model.frames
         self._experience = Experience(folder, config, recordings, self._low, self._high)
         self._buffer = self._experience.buffer

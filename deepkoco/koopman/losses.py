@@ -46,6 +46,25 @@ class ChunkBatch:
 
 
 @dataclass
+class OtherActions:
+    """Actions that were not applied, at the steps of a batch, and what is known of them.
+
+    Attributes:
+        actions: (G, L, M).
+        costs: Costs under the observations of the batch and these actions (G, L).
+        weight: Of their errors against those of the actions that were applied.
+    """
+
+    actions: Tensor
+    costs: Tensor
+    weight: float
+
+    def to(self, device: str) -> OtherActions:
+        """The same on a device; see `ChunkBatch.to`."""
+        return OtherActions(self.actions.to(device), self.costs.to(device), self.weight)
+
+
+@dataclass
 class Losses:
     """Values of one batch; each is a scalar tensor.
 
@@ -73,6 +92,7 @@ def chunk_losses(
     cost_weight: float,
     rollout: Rollout = frozen_rollout,
     relative_above: float = 0.0,
+    others: OtherActions | None = None,
 ) -> Losses:
     r"""Losses of all windows of a batch of chunks, each step encoded once.
 
@@ -81,7 +101,9 @@ def chunk_losses(
     $L_{recon} = (c_0 - \hat c_0)^2$ and $L_{pred} = \frac{1}{T}\sum_{k=1}^{T} (c_k - \hat c_k)^2$. The
     rolled latents $s_k$ and costs $\hat c_k$ use B and C of the window's first step, as the planner does, or
     those that another rollout gives, which may add the error of its decoder to the sum.
-    Gradients flow through B (second order), through psi and its input, and into both sides of $L_{lin}$.
+    Where costs of other actions $a_k'$ are known, errors of $|C (s_k + B (a_k' - a_k))|^2 + a_k'^\top R a_k'$ count
+    too: the last action before step k as it might have been. Gradients flow through B (second order), through psi
+    and its input, and into both sides of $L_{lin}$.
 
     Args:
         model: The latent model.
@@ -91,6 +113,7 @@ def chunk_losses(
         rollout: One of `deepkoco.koopman.model.rollout.ROLLOUTS`.
         relative_above: Share e of `MEAN_COST` from which on errors count relative to the cost: they are weighed by
             (e + 1) m / (e m + c), which is 1 at the mean cost m. 0: all errors weigh the same, as published.
+        others: Other actions; they take B of the window's first step, whatever the rollout. None: none.
 
     Returns:
         The losses, averaged over the valid windows, time and components.
@@ -119,6 +142,12 @@ def chunk_losses(
     present = batch.costs[:, :windows].reshape(-1, 1)
     reconstruction, weighed_reconstruction = _cost_errors(present, first, weights, relative_above)
     total = linear + cost_weight * (weighed_reconstruction + weighed_prediction)
+    if others is not None:
+        tried = others.actions.unfold(1, horizon + 1, 1).flatten(0, 1).transpose(1, 2)[:, 1:]
+        known = others.costs[:, 1:].unfold(1, horizon, 1).flatten(0, 1)
+        moved = predicted.latents + (tried - actions[:, 1:]) @ input_matrices.flatten(0, 1).mT
+        answers = quadratic_cost(predicted.factors, moved, tried, weight)
+        total = total + cost_weight * others.weight * _cost_errors(known, answers, weights, relative_above)[1]
     inverse = torch.zeros_like(linear)
     if predicted.inverse is not None:
         inverse = (predicted.inverse * weights).sum()

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from deepkoco.agent import Trainer, load_policy
+from deepkoco.agent.action_value import ActionValueConfig
 from deepkoco.koopman import ExportedModel, ModelConfig
 from deepkoco.planning import PlannerConfig
 
@@ -24,6 +25,7 @@ VARIANTS = {
     },
     "separate windows": {"window_stride": 6, "chunk_length": 6, "chunks": 20},
     "discounted costs": {"cost_discount": 0.9},
+    "a value of actions": {"value": ActionValueConfig(discount=0.9, hidden=(8,)), "scale": True},
     "smaller steps, best weights": {"final_learning_rate": 0.1, "keep": "best"},
     "units of the task, planned first episodes": {"scale": True, "relative_cost": 0.05, "warm_start": 0.7},
 }

@@ -57,7 +57,13 @@ def test_settings_given_by_the_user_win_over_those_of_the_environment():
     assert read("task=disk_pendulum", "agent.model.time_step=0.04").agent.model.time_step == 0.04
 
 
-PROFILES = {"small": "dbc", "small_images": "dbc", "tuned": "deepkoco", "few_episodes": "deepkoco"}
+PROFILES = {
+    "small": "dbc",
+    "small_images": "dbc",
+    "tuned": "deepkoco",
+    "few_episodes": "deepkoco",
+    "far_goals": "deepkoco",
+}
 
 
 def test_every_profile_fits_its_agent_and_gives_way_to_the_user():

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from deepkoco.koopman.losses import ChunkBatch, chunk_losses
+from deepkoco.koopman.losses import ChunkBatch, OtherActions, chunk_losses
 from deepkoco.koopman.model.model import KoopmanModel, ModelConfig
 
 
@@ -37,6 +37,21 @@ def test_one_window_by_hand():
     assert losses.total.item() == pytest.approx(35.0)
     # all encoded latents: 1, 0, 2, 1, 4, 3 -> squares sum 31 over 6
     assert losses.latent_scale.item() == pytest.approx((31 / 6) ** 0.5)
+
+
+def test_other_actions_by_hand():
+    # As above, but had the last action before s_1 been 2 and that before s_2 -1: s_1' = (1, 2), s_2' = (1, -1), costs
+    # 1 + 0.5 * 4 = 3 against 4 and 1 + 0.5 = 1.5 against 3.5: (1 + 4) / 2 = 2.5; total = 35 + 10 * 0.2 * 2.5
+    batch = ChunkBatch(
+        observations=torch.tensor([[[1.0], [2.0], [4.0]]]),
+        actions=torch.tensor([[[0.0], [1.0], [3.0]]]),
+        costs=torch.tensor([[1.0, 2.0, 3.0]]),
+        window_weights=torch.ones(1, 1),
+    )
+    others = OtherActions(torch.tensor([[[9.0], [2.0], [-1.0]]]), torch.tensor([[7.0, 4.0, 3.5]]), 0.2)
+    losses = chunk_losses(identity_model(), batch, horizon=2, cost_weight=10.0, others=others)
+    assert losses.total.item() == pytest.approx(40.0)
+    assert losses.cost_prediction.item() == pytest.approx(3.25)
 
 
 def random_batch(weights: torch.Tensor) -> ChunkBatch:
