@@ -47,7 +47,7 @@ def read_entries(path: Path) -> LogFile:
     entries = content.get(ENTRIES) if isinstance(content, dict) else None
     if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
         raise LogError(
-            f'{path}: has no list "{ENTRIES}" of objects and is none; a log in JSON has one object for each sample there'
+            f'{path}: has no list "{ENTRIES}" of objects and is none; a log in JSON has an object for each sample'
         )
     columns = TopicColumns("", 0)
     for entry in entries:
