@@ -64,7 +64,7 @@ def read_entries(path: Path) -> LogFile:
         "JSON",
         {"": Table(frame, "", (time,) if time else (), left_out=table.left_out)},
         row_name="entry",
-        facts=_facts(content),
+        facts=_facts(content if isinstance(content, dict) else {}),
     )
 
 
