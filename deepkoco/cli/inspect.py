@@ -95,11 +95,13 @@ def run(args: argparse.Namespace) -> int:
     args.given, args.log, args.several = args.log, paths[0], len(paths)
     mapped = args.map is not None or find_sidecar(args.log) is not None
     propose = not mapped or args.system is not None or args.out is not None
-    fitting, refusal = _fitting(found, others, args.system) if propose else (None, None)
+    fitting, refusal, part = _fitting(found, others, args.system) if propose else (None, None, None)
     proposal = None if fitting is None else fitting.proposal
     recording, problem = _read(args, found) if mapped else (None, None)
     if args.out is not None and fitting is not None:
         _write_mapping(args.out, found, fitting, args.system)
+    elif args.out is not None and part is not None:
+        refusal = f"{refusal}; {_write_part(args.out, found, part)}"
     if args.plot is not None:
         _plot(args.plot, found, proposal)
     if args.json:
@@ -117,14 +119,17 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _fitting(found: Survey, others: list[Survey], system: str | None) -> tuple[Fitting | None, str | None]:
+def _fitting(
+    found: Survey, others: list[Survey], system: str | None
+) -> tuple[Fitting | None, str | None, Proposal | None]:
+    """The proposal, or why there is none and what was found all the same."""
     from deepkoco.cli.logs import named_system
     from deepkoco.logs.inspect.fitting import NoProposalError, propose
 
     try:
-        return propose(found, None if system is None else named_system(system), others), None
+        return propose(found, None if system is None else named_system(system), others), None, None
     except NoProposalError as error:
-        return None, str(error)
+        return None, str(error), error.found
 
 
 def _read(args: argparse.Namespace, found: Survey) -> tuple[Recording | None, str | None]:
@@ -159,7 +164,6 @@ def _read(args: argparse.Namespace, found: Survey) -> tuple[Recording | None, st
 def _write_mapping(path: Path, found: Survey, fitting: Fitting, system: str | None) -> None:
     from deepkoco.logs.inspect.choice import mapping_of
     from deepkoco.logs.sidecar import dump_sidecar
-    from deepkoco.output.whole_file import system_error, write_whole_text
 
     if fitting.alike and system is None:
         raise InputError(
@@ -173,7 +177,25 @@ def _write_mapping(path: Path, found: Survey, fitting: Fitting, system: str | No
             meta[f"{key} not known"] = unknown
     if found.log.facts:
         meta["facts"] = dict(found.log.facts)
-    text = dump_sidecar(fitting.proposal.system, mapping_of(found, fitting.proposal), meta)
+    _write(path, dump_sidecar(fitting.proposal.system, mapping_of(found, fitting.proposal), meta))
+
+
+def _write_part(path: Path, found: Survey, proposal: Proposal) -> str:
+    """Write what was found of a mapping, and say what is to be filled in."""
+    from deepkoco.logs.inspect.partial import OPEN, how_to_fill_in, partial_mapping
+    from deepkoco.logs.sidecar import dump_sidecar
+
+    channels = partial_mapping(found, proposal)
+    if not channels:
+        return "nothing was written"
+    text = dump_sidecar(proposal.system, channels, {"proposed by": "deepkoco inspect"})
+    _write(path, text + how_to_fill_in(found, proposal))
+    return f'{path} has what was found: replace "{OPEN}" there'
+
+
+def _write(path: Path, text: str) -> None:
+    from deepkoco.output.whole_file import system_error, write_whole_text
+
     try:
         write_whole_text(path, text)
     except OSError as error:

@@ -1,3 +1,4 @@
+# pyright: reportAssignmentType=false, reportIncompatibleVariableOverride=false, reportIncompatibleMethodOverride=false
 """Causes that all actuators share, and one factor on all parameters of a kind."""
 
 from dataclasses import replace
@@ -9,7 +10,15 @@ from deepkoco.diagnose import diagnose
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.report.text import spoken
 from deepkoco.fit.request import command_delays
-from deepkoco.systems import ExtendedSystem, MemoryEffectError, Motion, System, make_system
+from deepkoco.systems import (
+    Channel,
+    ExtendedSystem,
+    MemoryEffectError,
+    Motion,
+    Parameter,
+    System,
+    make_system,
+)
 from deepkoco.systems.bodies.two_link_arm import TwoLinkArm
 from deepkoco.systems.effects import effects_of
 from tests.oracle.unit import hidden_log
@@ -128,3 +137,34 @@ def test_common_cause_wins_only_where_all_joints_have_it(kind, joints, values, n
     assert named in result.causes[0].members
     common = f"{kind}(all)"
     assert (common in result.causes[0].members) == (named == common)
+
+
+class Tilted(System):
+    """A ball on a beam that a servo turns to its goal; what the servo delivers is not declared."""
+
+    joint_names, joint_units = ("ball", "beam"), ("m", "rad")
+    parameters = (Parameter("bandwidth", 18.0, "rad/s", 1.0, 200.0, 1.0, "of the servo"),)
+    commands = (Channel("goal", "rad", "command", -0.6, 0.6),)
+    measurements = (
+        Channel("ball", "m", "measurement", noise_sd=1e-3),
+        Channel("beam", "rad", "measurement", noise_sd=1e-3),
+    )
+    command_joints = (1,)
+
+    def accelerations(self, p):
+        def law(s):
+            turn = p["bandwidth"] ** 2 * (s.efforts[0] - s.angles[1]) - 2.0 * p["bandwidth"] * s.speeds[1]
+            return -7.0 * s.angles[1].sin() + s.load(0), turn + s.load(1)
+
+        return law
+
+
+class Driven(Tilted):
+    """The same with a motor, whose torque is the command."""
+
+    commands = (Channel("torque", "N m", "command", -0.6, 0.6),)
+
+
+def test_a_goal_is_no_load_that_may_act_on_another_joint():
+    assert "crosstalk(beam to ball)" in catalogue(Driven())
+    assert "crosstalk(beam to ball)" not in catalogue(Tilted())

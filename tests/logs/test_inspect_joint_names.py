@@ -317,3 +317,30 @@ def test_a_joint_may_have_a_speed_alone(tmp_path, name):
 )
 def test_the_unit_at_the_end_of_a_name_is_no_part_of_the_joint(name, role, label):
     assert role_in_name(name) == (role, label)
+
+
+CART = """
+<mujoco model="cart"><worldbody><body><joint name="rail" type="slide" axis="1 0 0"/><geom size=".1" mass="2"/>
+  <body><joint name="pole" axis="0 1 0"/><geom type="capsule" size=".02" fromto="0 0 0 0 0 -.5" mass="1"/></body></body>
+</worldbody><actuator><motor name="rail_motor" joint="rail"/><motor name="pole_motor" joint="pole"/></actuator></mujoco>
+"""
+
+
+def test_the_name_of_an_actuator_with_its_unit_is_its_name(tmp_path):
+    (tmp_path / "cart.xml").write_text(CART)
+    t = np.arange(0.0, 4.0, 0.01)
+    columns = {
+        "rail_mm": 90.0 * np.sin(t),
+        "pole_deg": 20.0 * np.cos(2.0 * t),
+        "pole_motor_Nm": np.sin(3.0 * t),
+    }
+    # The letter N may count joints; here it is the unit of the force that the actuator takes.
+    frame = pd.DataFrame({"t": t, **columns, "rail_motor_N": 5.0 * np.cos(3.3 * t)})
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    proposal = propose(
+        survey_log(open_log(tmp_path / "log.csv")), load_system(tmp_path / "cart.xml")
+    ).proposal
+    found = {c.channel.name: (c.column and c.column.name, c.unit, c.sureness) for c in proposal.choices}
+    assert found["rail_motor"] == ("rail_motor_N", "N", "sure")
+    assert found["pole_motor"] == ("pole_motor_Nm", "N m", "sure")
+    assert found["q_rail"] == ("rail_mm", "mm", "sure")

@@ -81,6 +81,10 @@ def test_cur_is_a_current_where_nothing_else_is_said():
     assert read_name("cur_pos").speaks_for("angle") > 0.0
 
 
+def test_gyr_is_a_gyro_as_flight_controllers_write_it():
+    assert read_name("IMU.GyrZ").speaks_for("angular velocity") > 0.0
+
+
 @pytest.mark.parametrize("goal", ["target_pos_m", "height_ref_m", "soll_weg_mm"])
 def test_a_goal_of_another_unit_than_the_command_is_no_measurement(tmp_path, goal):
     with pytest.raises(NoProposalError):

@@ -123,6 +123,18 @@ def test_whole_numbers_without_a_unit_are_asked_for_as_counts_of_an_encoder(tmp_
     said = [d for d in doubts if "counts of an encoder" in d]
     assert len(said) == asked
     assert all("enc_motor" in d and "2 pi / (counts per turn)" in d for d in said)
+    assert not any("offset" in d for d in said)
+
+
+def test_counts_that_never_pass_zero_need_an_offset_too(tmp_path):
+    # An absolute encoder that stands at 31207 where the model's angle is 0.
+    frame = pd.DataFrame(
+        {"t": T, "enc_motor": np.round(31207.0 + 4000.0 * FAST), "load_deg": SLOW, "current_A": FAST}
+    )
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    survey = survey_log(open_log(tmp_path / "log.csv"))
+    (said,) = (d for d in doubts_of(survey, propose(survey, channels(DRIVE)).proposal) if "counts of" in d)
+    assert "and as offset minus the scale times the count at which motor_angle is 0" in said
 
 
 @pytest.mark.parametrize(("name", "unit"), [("gap_um", "um"), ("gap [um]", "um"), ("gap_mm", "mm")])

@@ -174,3 +174,41 @@ def test_other_json_is_refused(tmp_path, text, message):
     (tmp_path / "a.json").write_text(text)
     with pytest.raises(LogError, match=message):
         open_log(tmp_path / "a.json")
+
+
+SAMPLES = [
+    {"time": 0.0, "mode": "HOLD", "joint": {"angle": 0.1}, "u": 1.5},
+    {"time": 0.5, "mode": "HOLD", "joint": {"angle": 0.2}},
+    {"time": 1.0, "mode": "MOVE", "joint": {"angle": 0.4}, "u": None},
+]
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("a.jsonl", "\n".join(map(json.dumps, SAMPLES)) + "\n"),
+        ("a.ndjson", "\n\n".join(map(json.dumps, SAMPLES))),
+        ("a.json", json.dumps(SAMPLES, indent=1)),
+    ],
+)
+def test_objects_of_json_are_rows_whose_missing_keys_are_empty_cells(tmp_path, name, text):
+    (tmp_path / name).write_text(text)
+    assert recordings([tmp_path]) == (tmp_path / name,)
+    log = open_log(tmp_path / name)
+    np.testing.assert_array_equal(log.values("", "joint.angle"), [0.1, 0.2, 0.4])
+    np.testing.assert_array_equal(log.tables[""].frame["u"], [1.5, np.nan, np.nan])
+    assert list(log.tables[""].frame["mode"]) == ["HOLD", "HOLD", "MOVE"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('{"t": 0.0}\n\n{"t": 0.1, "q', "line 3 is truncated or not JSON"),
+        ('{"t": 0.0}\n[0.1, 0.2]\n', "line 2 is no object"),
+        ("\n", "contains no data rows"),
+    ],
+)
+def test_lines_that_are_no_objects_are_named(tmp_path, text, message):
+    (tmp_path / "a.jsonl").write_text(text)
+    with pytest.raises(LogError, match=message):
+        open_log(tmp_path / "a.jsonl")

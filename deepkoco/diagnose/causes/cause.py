@@ -67,6 +67,7 @@ class Cause:
         starts: Start values by short names; several where the gradient vanishes at null or the cost has several
             minima.
         counted: Number of parameters that the penalty counts; None counts all.
+        states: Number of initial states that count with it alone, of all windows, which the penalty charges.
         searched: Whether it was searched for at many places in time, which the penalty charges.
         choices: Number of discrete values that were tried, which the penalty charges.
         valley: Values -> other values along a valley of the cost, by full names; None where there is none.
@@ -97,6 +98,7 @@ class Cause:
     signature: Callable[[Motion], np.ndarray]
     starts: Starts = from_null
     counted: int | None = None
+    states: int = 0
     searched: bool = False
     choices: int = 1
     valley: Callable[[Mapping[str, float]], list[dict[str, float]]] | None = None
@@ -132,7 +134,7 @@ class Cause:
     @property
     def size(self) -> int:
         """Number of parameters that the penalty counts."""
-        return len(self.free) if self.counted is None else self.counted
+        return (len(self.free) if self.counted is None else self.counted) + self.states
 
     def at(self, placed: PlacedEffect, system: System) -> Cause:
         """The cause at one site of a system."""

@@ -17,6 +17,7 @@ from deepkoco.diagnose.evidence.event_windows import MIN_OTHER_WINDOWS, touched
 from deepkoco.diagnose.evidence.exchanged_states import hides_a_position, with_exchanged_states
 from deepkoco.diagnose.evidence.flexible import FLEXIBLE_CAUSES
 from deepkoco.diagnose.evidence.footholds import ALONE, CLOSE, ITERATIONS, alone, from_halves, trial_of
+from deepkoco.diagnose.evidence.freed_positions import with_freed_positions
 from deepkoco.diagnose.evidence.natural_shapes import with_natural_shapes
 from deepkoco.diagnose.evidence.priors import prior_with, strained
 from deepkoco.diagnose.evidence.promising import (
@@ -76,6 +77,7 @@ def rank(
         cross: Whether candidates and reference are also fitted from each other's optimum (:mod:`.crossed`).
     """
     everything = [*catalogue(problem.system.base).values()] if causes is None else causes
+    everything = with_freed_positions(problem, reference, everything)
     names = [c.name for c in accepted]
     tried = [c for c in everything if c.name not in names and c.scatter is None and not c.traced]
     # A hundred times slower than the others.

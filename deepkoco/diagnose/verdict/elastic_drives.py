@@ -74,7 +74,7 @@ def charged(cause: Cause, windows: int) -> Cause:
     """Return the cause with a charge for the initial states that it adds to each window."""
     if kind_of(cause.name) != KIND:
         return cause
-    return replace(cause, counted=len(cause.free) + STATES * windows)
+    return replace(cause, states=STATES * windows)
 
 
 def _shown(plain: System, request: DiagnosisRequest) -> list[Cause]:

@@ -51,6 +51,12 @@ def _entries(path: Path, wanted: Wanted) -> LogFile:
     return read_entries(path)
 
 
+def _lines(path: Path, wanted: Wanted) -> LogFile:
+    from deepkoco.logs.formats.json_lines import read_lines
+
+    return read_lines(path)
+
+
 def _arrays(path: Path, wanted: Wanted) -> LogFile:
     from deepkoco.logs.formats.array_file import read_hdf5, read_mat, read_npz
 
@@ -80,6 +86,8 @@ FORMATS: dict[str, Callable[[Path, Wanted], LogFile]] = {
     ".db3": _bag,
     ".pt": _tensors,
     ".json": _entries,
+    ".jsonl": _lines,
+    ".ndjson": _lines,
     ".npz": _arrays,
     ".mat": _arrays,
     ".h5": _arrays,
@@ -105,9 +113,9 @@ def open_log(path: str | Path, wanted: Wanted = None) -> LogFile:
 
     Args:
         path: `.csv` (or `.tsv`, `.txt`), `.parquet`, `.mcap`, `.bag` (ROS 1), `.db3` (ROS 2), `.pt` (tensors),
-            `.json` (entries), `.npz`, `.mat`, `.h5` or `.hdf5` (arrays), the folder of a ROS 2 bag, a folder with a CSV
-            of commands and one of measurements, or an episode of a LeRobot dataset (`DATASET/episode_3`). A folder
-            that contains one recording stands for it.
+            `.json` (entries), `.jsonl` or `.ndjson` (an object a line), `.npz`, `.mat`, `.h5` or `.hdf5` (arrays), the
+            folder of a ROS 2 bag, a folder with a CSV of commands and one of measurements, or an episode of a LeRobot
+            dataset (`DATASET/episode_3`). A folder that contains one recording stands for it.
         wanted: fields to read of each topic; None reads all. Files without topics are always read completely.
 
     Raises:

@@ -25,6 +25,8 @@ SUFFIXES = (
     ".db3",
     ".pt",
     ".json",
+    ".jsonl",
+    ".ndjson",
     ".npz",
     ".mat",
     ".h5",

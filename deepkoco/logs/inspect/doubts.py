@@ -119,6 +119,20 @@ def _few_texts(survey: Survey, columns: list[ColumnSurvey]) -> list[str]:
     return result
 
 
+def _zero_of_counts(choice: Choice) -> str:
+    """What to write of the zero of counts that never pass 0: of a sensor that counts from elsewhere than the model."""
+    column = choice.column
+    if (
+        column is None
+        or column.low is None
+        or column.high is None
+        or column.low <= 0.0 <= column.high
+        or choice.offset
+    ):
+        return ""
+    return f", and as offset minus the scale times the count at which {choice.channel.name} is 0"
+
+
 def _units(survey: Survey, proposal: Proposal) -> list[str]:
     result = []
     for choice in proposal.choices:
@@ -135,13 +149,14 @@ def _units(survey: Survey, proposal: Proposal) -> list[str]:
         if choice.scale != 1.0 and not choice.stated and not proposal.joints:
             result.append(
                 f'"{choice.column.name}" has whole numbers only, and {choice.reasons[-1]}; check it, and correct '
-                "the key scale: 2 pi / (counts per turn)"
+                f"the key scale: 2 pi / (counts per turn){_zero_of_counts(choice)}"
             )
         elif _counts(survey, choice):
             each = f"2 pi / (counts per turn), in {si}" if si.startswith("rad") else f"{si} per count"
             result.append(
                 f'"{choice.column.name}" has whole numbers only ({choice.column.low:.6g} to '
                 f"{choice.column.high:.6g}): are these counts of an encoder? Then write unit: {si}, and as scale {each}"
+                f"{_zero_of_counts(choice)}"
             )
         elif not choice.stated and choice.unit != si:
             result.append(

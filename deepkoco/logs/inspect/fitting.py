@@ -25,7 +25,15 @@ ALIKE = 1.0  # difference of evidence per channel below which two systems fit eq
 
 
 class NoProposalError(ValueError):
-    """No system fits a log."""
+    """No system fits a log.
+
+    Attributes:
+        found: what was found for the system that the user named, without what a mapping needs; None if nothing.
+    """
+
+    def __init__(self, message: str, found: Proposal | None = None) -> None:
+        super().__init__(message)
+        self.found = found
 
 
 class Fitting(NamedTuple):
@@ -105,7 +113,8 @@ def _nothing(survey: Survey, proposal: Proposal, asked: bool) -> NoProposalError
         return NoProposalError(
             f"{survey.log.path}: no column fits a command of {proposal.system} ({names}), and "
             f"{listed(proposal.unused(survey))} may be one; write the sidecar by hand: with it as command if it drives "
-            "a joint, without a command if the log shows a free motion"
+            "a joint, without a command if the log shows a free motion",
+            proposal,
         )
     what = (
         f"no column fits the channel {', '.join(missing)} of {proposal.system}"
@@ -115,7 +124,8 @@ def _nothing(survey: Survey, proposal: Proposal, asked: bool) -> NoProposalError
     return NoProposalError(
         f"{survey.log.path}: {what}: a mapping needs at least a command and a measurement; "
         f"{_behind_a_screw(survey, proposal)}write the sidecar by hand, or choose another system "
-        '("deepkoco systems" lists them)'
+        '("deepkoco systems" lists them)',
+        proposal if asked else None,
     )
 
 

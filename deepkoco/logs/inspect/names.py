@@ -19,7 +19,7 @@ WORDS: dict[str, dict[str, float]] = {
         **dict.fromkeys(
             ("omega", "vel", "velocity", "speed", "dq", "qdot", "qvel", "jvel", "velocities"), 3.0
         ),
-        **dict.fromkeys(("dtheta", "thetadot", "angvel", "qd", "gyro", "dphi", "dalpha", "dpos"), 3.0),
+        **dict.fromkeys(("dtheta", "thetadot", "angvel", "qd", "gyro", "gyr", "dphi", "dalpha", "dpos"), 3.0),
         **dict.fromkeys(("drehzahl", "winkelgeschwindigkeit"), 3.0),
         **dict.fromkeys(("rate", "w", "spd"), 1.0),
     },

@@ -170,6 +170,8 @@ def _unit_slip(system: System, command: int = 0) -> tuple[Parameter, ...]:
 def _crosstalk(system: System, pair: int = 0) -> tuple[Parameter, ...]:
     source, joint = system.coupled_joints[pair]
     most, unit = system.delivered_scales[system.command_joints.index(source)]
+    if unit in (system.state_units[source], system.state_units[system.joints + source]):
+        return ()  # a goal of a position or a speed is no load, and the system does not say what its servo delivers
     load = system.load_units[joint]
     limit = system.load_scales[joint] / most
     if not 0.0 < limit < math.inf:

@@ -7,7 +7,8 @@ import re
 from deepkoco.logs.by_name import wanted_names
 from deepkoco.logs.inspect.choice import Choice
 from deepkoco.logs.inspect.joints.log_joints import GOALS, role_in_name, role_of
-from deepkoco.logs.inspect.survey import Survey
+from deepkoco.logs.inspect.names import unit_suffix
+from deepkoco.logs.inspect.survey import ColumnSurvey, Survey
 from deepkoco.logs.units import parse_unit
 from deepkoco.systems import System
 
@@ -28,7 +29,7 @@ def command_by_name(survey: Survey, choice: Choice, shown: set[str]) -> Choice:
         return choice
     names = {name.lower() for name in wanted_names(choice.channel.name, "command")}
     free = [column for column in survey.columns if column.usable and column.label not in shown]
-    exact = [c for c in free if re.sub(r"\s*[\[(][^\[\]()]*[\])]\s*$", "", c.name).strip().lower() in names]
+    exact = [c for c in free if _without_unit(c, choice) in names]
     _, own = role_in_name(choice.channel.name)
     asked = [c for c in free if role_of(c) in {(goal, own) for goal in GOALS.values()}]
     if not exact and (not own or len(asked) != 1):
@@ -38,6 +39,20 @@ def command_by_name(survey: Survey, choice: Choice, shown: set[str]) -> Choice:
     return Choice(
         choice.channel, column, unit or choice.channel.unit, unit is not None, NAMED, ("the same name",)
     )
+
+
+def _without_unit(column: ColumnSurvey, choice: Choice) -> str:
+    """The name of a column in lower case, without a unit of the channel at its end: ``trolley_motor_N`` for a force.
+
+    The same letter counts joints where the channel is no force: the whole name is then kept.
+    """
+    name = re.sub(r"\s*[\[(][^\[\]()]*[\])]\s*$", "", column.name).strip().lower()
+    unit = column.hints.unit
+    if unit is None or parse_unit(unit).quantity != parse_unit(choice.channel.unit).quantity:
+        return name
+    parts = [part for part in re.split(r"[^A-Za-z0-9°%]+", column.name) if part]
+    ahead, _ = unit_suffix(parts, column.name)
+    return "_".join(ahead).lower()
 
 
 def speed_by_name(survey: Survey, choice: Choice, placed: set[int], system: System) -> Choice:
