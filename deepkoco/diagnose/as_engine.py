@@ -16,11 +16,13 @@ import contextlib
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from deepkoco.diagnose.baseline import Baseline, baseline_from, on_half_windows
+from deepkoco.fit.data.own_steps import in_steps_of, nearest_own_step
 from deepkoco.fit.data.windows import cut_windows, estimate_channels, moving
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.logs.recording import Recording
@@ -90,22 +92,23 @@ def as_engine_if_shown(
     def left(law: System) -> Left:
         start = baseline_from(law, windows)
         start = replace(start, values={**start.values, **values})
-        fit = on_half_windows(start, windows, start.prior.names)
+        fit = on_half_windows(start, in_steps_of(windows, law), start.prior.names)
         values.update({name: fit.values[name] for name in start.prior.names})
         return Left(fit.cost, fit.chi2 / max(windows.samples, 1))
 
     try:
-        return closest(system, left)
+        return closest(system, left, partial(nearest_own_step, windows))
     except DivergedError:
         return system
 
 
-def closest(machine: S, left: Callable[[S], Left]) -> S:
+def closest(machine: S, left: Callable[[S], Left], own: Callable[[float], float] = lambda step: step) -> S:
     """Return the machine, or its simulation by an engine in the steps that leave least of logs.
 
     Args:
         machine: Simulated as a machine; it has engines.
         left: What a simulation leaves of the logs.
+        own: Step [s] -> the nearest one that semi-implicit steps of these logs can have.
 
     Raises:
         DivergedError: A simulation diverges.
@@ -114,7 +117,7 @@ def closest(machine: S, left: Callable[[S], Left]) -> S:
     own, found = _as_in_file(machine, left, held) if MUJOCO in machine.engines else (held, machine)
     if SEMI_IMPLICIT in machine.engines and NOISE < own.per_sample <= FAR:
         with contextlib.suppress(DivergedError):
-            again, rigid = _as_rigid(machine, left, held)
+            again, rigid = _as_rigid(machine, left, held, own)
             # The logs choose the steps, too, which a bad model could use; so they have to leave only noise.
             if again.per_sample <= NOISE and again.less_than(own):
                 return rigid
@@ -143,7 +146,9 @@ def _as_in_file(machine: S, left: Callable[[S], Left], held: Left) -> tuple[Left
     return (best, simulated) if is_close else (held, machine)
 
 
-def _as_rigid(machine: S, left: Callable[[S], Left], held: Left) -> tuple[Left, S]:
+def _as_rigid(
+    machine: S, left: Callable[[S], Left], held: Left, own: Callable[[float], float]
+) -> tuple[Left, S]:
     """What is left in semi-implicit steps of the best length, and their system; a step of 0 is the machine.
 
     Raises:
@@ -156,6 +161,7 @@ def _as_rigid(machine: S, left: Callable[[S], Left], held: Left) -> tuple[Left, 
 
     def ask(step: float) -> bool:
         """Whether a step leaves less of the logs than the machine does."""
+        step = own(step)
         systems[step] = _in_steps(machine, SEMI_IMPLICIT, step)
         found[step] = left(systems[step])
         return found[step].cost < held.cost
@@ -166,6 +172,7 @@ def _as_rigid(machine: S, left: Callable[[S], Left], held: Left) -> tuple[Left, 
     wanted = usual.engine_step if len(found) == 2 else _least({h: own.cost for h, own in found.items()})
     # A parabola from 0 to 1 ms tells 4 ms roughly, and the next ones better.
     for _ in range(PARABOLAS):
+        wanted = own(wanted)
         if any(abs(wanted - step) <= SAME * step for step in found):
             break
         try:

@@ -213,6 +213,7 @@ def bind(table, near, n, state_rows, rubbing, level_rows, inverse_rows, rows, h)
         rubbing,
         np.zeros((r, 2, count)),
         h,
+        False,
         1 if r == 1 else SWEEPS,
         CLOSE,
         speed,
