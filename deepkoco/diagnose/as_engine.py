@@ -102,13 +102,13 @@ def as_engine_if_shown(
         return system
 
 
-def closest(machine: S, left: Callable[[S], Left], own: Callable[[float], float] = lambda step: step) -> S:
+def closest(machine: S, left: Callable[[S], Left], nearest: Callable[[float], float] = lambda step: step) -> S:
     """Return the machine, or its simulation by an engine in the steps that leave least of logs.
 
     Args:
         machine: Simulated as a machine; it has engines.
         left: What a simulation leaves of the logs.
-        own: Step [s] -> the nearest one that semi-implicit steps of these logs can have.
+        nearest: Step [s] -> the nearest one that semi-implicit steps of these logs can have.
 
     Raises:
         DivergedError: A simulation diverges.
@@ -117,7 +117,7 @@ def closest(machine: S, left: Callable[[S], Left], own: Callable[[float], float]
     own, found = _as_in_file(machine, left, held) if MUJOCO in machine.engines else (held, machine)
     if SEMI_IMPLICIT in machine.engines and NOISE < own.per_sample <= FAR:
         with contextlib.suppress(DivergedError):
-            again, rigid = _as_rigid(machine, left, held, own)
+            again, rigid = _as_rigid(machine, left, held, nearest)
             # The logs choose the steps, too, which a bad model could use; so they have to leave only noise.
             if again.per_sample <= NOISE and again.less_than(own):
                 return rigid
@@ -147,7 +147,7 @@ def _as_in_file(machine: S, left: Callable[[S], Left], held: Left) -> tuple[Left
 
 
 def _as_rigid(
-    machine: S, left: Callable[[S], Left], held: Left, own: Callable[[float], float]
+    machine: S, left: Callable[[S], Left], held: Left, nearest: Callable[[float], float]
 ) -> tuple[Left, S]:
     """What is left in semi-implicit steps of the best length, and their system; a step of 0 is the machine.
 
@@ -161,7 +161,7 @@ def _as_rigid(
 
     def ask(step: float) -> bool:
         """Whether a step leaves less of the logs than the machine does."""
-        step = own(step)
+        step = nearest(step)
         systems[step] = _in_steps(machine, SEMI_IMPLICIT, step)
         found[step] = left(systems[step])
         return found[step].cost < held.cost
@@ -172,7 +172,7 @@ def _as_rigid(
     wanted = usual.engine_step if len(found) == 2 else _least({h: own.cost for h, own in found.items()})
     # A parabola from 0 to 1 ms tells 4 ms roughly, and the next ones better.
     for _ in range(PARABOLAS):
-        wanted = own(wanted)
+        wanted = nearest(wanted)
         if any(abs(wanted - step) <= SAME * step for step in found):
             break
         try:
