@@ -102,7 +102,9 @@ def as_engine_if_shown(
         return system
 
 
-def closest(machine: S, left: Callable[[S], Left], nearest: Callable[[float], float] = lambda step: step) -> S:
+def closest(
+    machine: S, left: Callable[[S], Left], nearest: Callable[[float], float] = lambda step: step
+) -> S:
     """Return the machine, or its simulation by an engine in the steps that leave least of logs.
 
     Args:

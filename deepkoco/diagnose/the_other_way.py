@@ -59,9 +59,7 @@ def the_other_way(
     train = in_steps_of(data.train, system)
     other_request = replace(request, system=system, data=replace(data, train=train, held=held))
     try:
-        again = explained(
-            other_request, with_gauges_fixed(baseline_from(system, train), train), unfitted
-        )
+        again = explained(other_request, with_gauges_fixed(baseline_from(system, train), train), unfitted)
     except DivergedError:
         return request, explanation
     return other_request, again

@@ -55,7 +55,22 @@ def slips(before, after, first, last, level, inertia, rate):
 
 @njit(**UNCOUNTED)
 def rub_element(
-    before, load, slide, stick, inverse, rubbing, creeps, mean, step, whole, sweeps, close, speed, moved, hold, n
+    before,
+    load,
+    slide,
+    stick,
+    inverse,
+    rubbing,
+    creeps,
+    mean,
+    step,
+    whole,
+    sweeps,
+    close,
+    speed,
+    moved,
+    hold,
+    n,
 ):
     """Find the friction loads of one element n, as :func:`rub` does; ``mean`` (J,) are its mean accelerations."""
     joints = len(mean)
@@ -126,7 +141,22 @@ def rub_before(
     for r in range(len(rubbing)):
         room[0, r] = load[r, n]
     rub_element(
-        before, load, slide, stick, bare, rubbing, creeps, room[1], step, whole, sweeps, close, speed, moved, hold, n
+        before,
+        load,
+        slide,
+        stick,
+        bare,
+        rubbing,
+        creeps,
+        room[1],
+        step,
+        whole,
+        sweeps,
+        close,
+        speed,
+        moved,
+        hold,
+        n,
     )
     for r in range(len(rubbing)):
         for k in range(joints):
