@@ -8,6 +8,8 @@ the file. What the engine does early or late is a share of its step, so a parabo
 An engine of rigid bodies has such steps too, with a friction that holds; they leave only noise of its logs. A hidden
 cause, such as a delay of commands, may decide wrongly there; so the question is asked once more beside the causes that
 were found (:mod:`deepkoco.diagnose.the_other_way`).
+Where more than noise is left, it is asked at once beside a delay of all commands, too, which hides that an engine has
+them early.
 """
 
 from __future__ import annotations
@@ -15,14 +17,14 @@ from __future__ import annotations
 import contextlib
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
-from deepkoco.diagnose.baseline import Baseline, baseline_from, on_half_windows
-from deepkoco.fit.data.own_steps import in_steps_of, nearest_own_step
+from deepkoco.diagnose.baseline import Baseline
+from deepkoco.diagnose.left_of_logs import Left, LeftOfLogs
+from deepkoco.fit.data.own_steps import nearest_own_step
 from deepkoco.fit.data.windows import cut_windows, estimate_channels, moving
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.logs.recording import Recording
@@ -30,9 +32,6 @@ from deepkoco.systems import System
 from deepkoco.systems.engine_names import MUJOCO, SEMI_IMPLICIT
 
 SOME = 16  # windows that decide
-# Fall of the cost, in noise variances that the engine leaves, from which it counts. Logs without rest and with much
-# noise leave both alike.
-MARGIN = 10.0
 # Noise variances that a simulation by the engine leaves of its own logs at most. A real robot that its file describes
 # badly leaves hundreds with either law, and which of two refits ends lower says nothing of friction.
 NEAR = 10.0
@@ -47,22 +46,6 @@ SAME = 0.02  # relative difference of steps that logs hardly tell
 log = logging.getLogger(__name__)
 
 S = TypeVar("S", bound=System)
-
-
-class Left(NamedTuple):
-    """What a simulation leaves of logs.
-
-    Attributes:
-        cost: chi2 and squared distance from the prior.
-        per_sample: chi2 of one sample.
-    """
-
-    cost: float
-    per_sample: float
-
-    def less_than(self, other: Left) -> bool:
-        """Whether it leaves so much less than another that this counts."""
-        return other.cost - self.cost > MARGIN * max(self.per_sample, 1.0)
 
 
 def as_engine_if_shown(
@@ -87,46 +70,49 @@ def as_engine_if_shown(
     if len(windows) == 0:
         return system
     windows = windows.take(np.unique(np.linspace(0, len(windows) - 1, SOME).astype(int)))
-    values: dict[str, float] = {}
-
-    def left(law: System) -> Left:
-        start = baseline_from(law, windows)
-        start = replace(start, values={**start.values, **values})
-        fit = on_half_windows(start, in_steps_of(windows, law), start.prior.names)
-        values.update({name: fit.values[name] for name in start.prior.names})
-        return Left(fit.cost, fit.chi2 / max(windows.samples, 1))
-
+    left, nearest = LeftOfLogs(windows), partial(nearest_own_step, windows)
     try:
-        return closest(system, left, partial(nearest_own_step, windows))
+        law, leaves = closest(system, left, nearest)
+        if leaves.per_sample > NOISE:
+            # Late commands hide that an engine has them early.
+            late, _ = closest(system, left.late, nearest, NOISE)
+            law = law if late.engine is None else late
     except DivergedError:
         return system
+    return law
 
 
 def closest(
-    machine: S, left: Callable[[S], Left], nearest: Callable[[float], float] = lambda step: step
-) -> S:
-    """Return the machine, or its simulation by an engine in the steps that leave least of logs.
+    machine: S,
+    left: Callable[[S], Left],
+    nearest: Callable[[float], float] = lambda step: step,
+    near: float = NEAR,
+) -> tuple[S, Left]:
+    """Return the machine, or its simulation by an engine in the steps that leave least of logs, and what it leaves.
 
     Args:
         machine: Simulated as a machine; it has engines.
         left: What a simulation leaves of the logs.
         nearest: Step [s] -> the nearest one that semi-implicit steps of these logs can have.
+        near: Noise variances that a simulation as by the engine of the file leaves at most.
 
     Raises:
         DivergedError: A simulation diverges.
     """
     held = left(machine)
-    own, found = _as_in_file(machine, left, held) if MUJOCO in machine.engines else (held, machine)
+    own, found = (held, machine)
+    if MUJOCO in machine.engines:
+        own, found = _as_in_file(machine, left, held, near)
     if SEMI_IMPLICIT in machine.engines and NOISE < own.per_sample <= FAR:
         with contextlib.suppress(DivergedError):
             again, rigid = _as_rigid(machine, left, held, nearest)
             # The logs choose the steps, too, which a bad model could use; so they have to leave only noise.
             if again.per_sample <= NOISE and again.less_than(own):
-                return rigid
-    return found
+                return rigid, again
+    return found, own
 
 
-def _as_in_file(machine: S, left: Callable[[S], Left], held: Left) -> tuple[Left, S]:
+def _as_in_file(machine: S, left: Callable[[S], Left], held: Left, near: float) -> tuple[Left, S]:
     """What is left and its system: the machine, or its simulation by the engine of its file where that is closer."""
     of_file = machine.with_engine(MUJOCO)
     assert of_file is not None
@@ -144,7 +130,7 @@ def _as_in_file(machine: S, left: Callable[[S], Left], held: Left) -> tuple[Left
             log.debug("%s: %s in steps of %.3g s, costs %s", machine.name, again, other.engine_step, costs)
             if again.less_than(best):
                 simulated, best = other, again
-    is_close = best.per_sample <= NEAR and best.less_than(held)
+    is_close = best.per_sample <= near and best.less_than(held)
     return (best, simulated) if is_close else (held, machine)
 
 

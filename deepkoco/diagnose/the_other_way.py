@@ -7,10 +7,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
-from deepkoco.diagnose.as_engine import Left, closest
+from deepkoco.diagnose.as_engine import closest
 from deepkoco.diagnose.baseline import baseline_from, with_gauges_fixed
 from deepkoco.diagnose.evidence.priors import prior_with
 from deepkoco.diagnose.explanation import Explanation
+from deepkoco.diagnose.left_of_logs import Left
 from deepkoco.diagnose.request import DiagnosisRequest
 from deepkoco.diagnose.weighed import explained
 from deepkoco.fit.data.own_steps import in_steps_of, nearest_own_step
@@ -87,6 +88,6 @@ def _closer(machine: ExtendedSystem, now: ExtendedSystem, explanation: Explanati
             known[key] = Left(again.cost, again.chi2 / max(windows.samples, 1))
         return known[key]
 
-    other = closest(machine, left, partial(nearest_own_step, windows))
+    other, _ = closest(machine, left, partial(nearest_own_step, windows))
     log.debug("with causes: %s", known)
     return other if left(other).less_than(left(now)) else None

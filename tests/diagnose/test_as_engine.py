@@ -6,8 +6,9 @@ import pytest
 import torch
 
 from deepkoco.diagnose import diagnose
-from deepkoco.diagnose.as_engine import Left, as_engine_if_shown, closest
+from deepkoco.diagnose.as_engine import as_engine_if_shown, closest
 from deepkoco.diagnose.baseline import baseline_from, refit
+from deepkoco.diagnose.left_of_logs import Left
 from deepkoco.fit.data.windows import cut_windows, window_length
 from deepkoco.logs.recording import Recording, Series
 from deepkoco.systems import load_system
@@ -128,7 +129,7 @@ def test_short_and_long_steps_of_another_engine_are_found(slider, share):
         away = (0.0 if law.engine is None else law.engine_step) / best - 1.0
         return Left(1e4 * (0.9 + 3.0 * away**2), 0.9 + 3.0 * away**2)
 
-    assert closest(slider, left).engine_step == pytest.approx(best, rel=0.05)
+    assert closest(slider, left)[0].engine_step == pytest.approx(best, rel=0.05)
 
 
 def test_logs_that_no_step_follows_better_are_of_a_machine(slider):
@@ -139,7 +140,7 @@ def test_logs_that_no_step_follows_better_are_of_a_machine(slider):
         step = law.engine_step or 0.0
         return Left(1e4 * (3.0 + 1e3 * step), 3.0 + 1e3 * step)
 
-    assert closest(slider, left) is slider
+    assert closest(slider, left)[0] is slider
     assert asked.count("semi-implicit") == 2
 
 
