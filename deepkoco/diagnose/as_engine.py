@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import TypeVar
@@ -72,13 +73,17 @@ def as_engine_if_shown(
     windows = windows.take(np.unique(np.linspace(0, len(windows) - 1, SOME).astype(int)))
     left, nearest = LeftOfLogs(windows), partial(nearest_own_step, windows)
     try:
-        law, leaves = closest(system, left, nearest)
-        if leaves.per_sample > NOISE:
-            # Late commands hide that an engine has them early.
-            late, _ = closest(system, left.late, nearest, NOISE)
-            law = law if late.engine is None else late
+        held = left(system)
+        law, leaves = closest(system, left, nearest, held=held)
     except DivergedError:
         return system
+    if not NOISE < leaves.per_sample <= FAR:
+        return law
+    with contextlib.suppress(DivergedError):
+        # Late commands hide that an engine has them early.
+        if (late := left.late(system)).less_than(held):
+            other, _ = closest(system, left.late, nearest, NOISE, late)
+            return law if other.engine is None else other
     return law
 
 
@@ -87,6 +92,7 @@ def closest(
     left: Callable[[S], Left],
     nearest: Callable[[float], float] = lambda step: step,
     near: float = NEAR,
+    held: Left | None = None,
 ) -> tuple[S, Left]:
     """Return the machine, or its simulation by an engine in the steps that leave least of logs, and what it leaves.
 
@@ -95,12 +101,13 @@ def closest(
         left: What a simulation leaves of the logs.
         nearest: Step [s] -> the nearest one that semi-implicit steps of these logs can have.
         near: Noise variances that a simulation as by the engine of the file leaves at most.
+        held: What the machine leaves, where that is known.
 
     Raises:
         DivergedError: A simulation diverges.
     """
-    held = left(machine)
-    own, found = (held, machine)
+    held = left(machine) if held is None else held
+    own, found = held, machine
     if MUJOCO in machine.engines:
         own, found = _as_in_file(machine, left, held, near)
     if SEMI_IMPLICIT in machine.engines and NOISE < own.per_sample <= FAR:
@@ -154,10 +161,16 @@ def _as_rigid(
         found[step] = left(systems[step])
         return found[step].cost < held.cost
 
-    # Twice the best step is as bad as the machine, and longer ones are worse.
-    if not any(ask(share * usual.engine_step) for share in SHARES):
+    # A loop that logs every step of its engine is the usual one. Else: twice the best step is as bad as the machine, and
+    # longer ones are worse.
+    wanted, longest = usual.engine_step, nearest(math.inf)
+    with contextlib.suppress(DivergedError):
+        if math.isfinite(longest) and ask(longest):
+            wanted = 0.5 * longest
+    if wanted == usual.engine_step and not any(ask(share * usual.engine_step) for share in SHARES):
         return held, machine
-    wanted = usual.engine_step if len(found) == 2 else _least({h: own.cost for h, own in found.items()})
+    if len(found) > 2:
+        wanted = _least({h: own.cost for h, own in found.items()})
     # A parabola from 0 to 1 ms tells 4 ms roughly, and the next ones better.
     for _ in range(PARABOLAS):
         wanted = nearest(wanted)

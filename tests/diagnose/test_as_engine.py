@@ -8,7 +8,7 @@ import torch
 from deepkoco.diagnose import diagnose
 from deepkoco.diagnose.as_engine import as_engine_if_shown, closest
 from deepkoco.diagnose.baseline import baseline_from, refit
-from deepkoco.diagnose.left_of_logs import Left
+from deepkoco.diagnose.left_of_logs import Left, LeftOfLogs
 from deepkoco.fit.data.windows import cut_windows, window_length
 from deepkoco.logs.recording import Recording, Series
 from deepkoco.systems import load_system
@@ -74,12 +74,15 @@ def from_a_joint_that_sticks(system, **named):
     return recorded(t, effort, np.array(place), **named)
 
 
-def from_rigid_bodies(step=0.005, noise=2e-6, damping=4.0, friction=3.0, mass=2.0):
-    """Semi-implicit steps; dry friction takes what is left of a step's speed, or stops the joint."""
+def from_rigid_bodies(step=0.005, noise=2e-6, damping=4.0, friction=3.0, mass=2.0, late=0):
+    """Semi-implicit steps; dry friction takes what is left of a step's speed, or stops the joint.
+
+    Commands act some steps after they were sent.
+    """
     t = np.arange(0.0, 10.0, step)
     effort = 3.5 * np.sin(2.0 * np.pi * 0.4 * t) + 1.5 * np.sin(2.0 * np.pi * 0.97 * t)
     place, speed, places = 0.0, 0.0, []
-    for u in effort:
+    for u in np.concatenate([np.repeat(effort[:1], late), effort])[: len(t)]:
         places.append(place)
         speed += step * (u - damping * speed) / mass
         speed = np.sign(speed) * max(abs(speed) - step * friction / mass, 0.0)
@@ -107,6 +110,20 @@ def test_logs_of_another_engine_have_its_steps_and_a_friction_that_holds(slider,
     found = as_engine_if_shown([from_rigid_bodies(step)], slider, window_length(slider))
     assert found.engine == "semi-implicit"
     assert found.engine_step == pytest.approx(step, rel=1e-6)  # a whole number of them between two commands
+
+
+def test_late_commands_do_not_hide_the_steps_of_another_engine(slider):
+    # One step late is half a step late in all: nearer to a machine than to an engine without a delay.
+    windows = cut_windows(
+        [from_rigid_bodies(noise=4e-6, friction=0.8, late=1)], slider, window_length(slider)
+    )
+    left, rigid = LeftOfLogs(windows), slider.with_engine("semi-implicit", 0.005)
+    assert left(slider).per_sample < left(rigid).per_sample
+    found = as_engine_if_shown(
+        [from_rigid_bodies(noise=4e-6, friction=0.8, late=1)], slider, window_length(slider)
+    )
+    assert found.engine == "semi-implicit"
+    assert found.engine_step == pytest.approx(0.005, rel=1e-6)
 
 
 def test_whole_windows_of_another_engine_leave_only_noise(slider):
