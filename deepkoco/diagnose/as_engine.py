@@ -161,7 +161,7 @@ def _as_rigid(
         found[step] = left(systems[step])
         return found[step].cost < held.cost
 
-    # A loop that logs every step of its engine is the usual one. Else: twice the best step is as bad as the machine, and
+    # A loop that logs every step of its engine is the usual one. Else twice the best step is as bad as the machine, and
     # longer ones are worse.
     wanted, longest = usual.engine_step, nearest(math.inf)
     with contextlib.suppress(DivergedError):

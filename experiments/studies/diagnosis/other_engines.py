@@ -177,8 +177,8 @@ def estimate_of(case: Case, found: Diagnosis) -> float:
     return first if case.hidden in ("delay", "payload") else np.nan
 
 
-def row_of(case: Case, found: Diagnosis, seconds: float) -> dict[str, str | float]:
-    """Return the row of a case."""
+def row_of(case: Case, found: Diagnosis, seconds: float, commit: str) -> dict[str, str | float]:
+    """Return the row of a case; ``commit`` is that of the code."""
     step = found.model.engine_step
     return {
         "engine": case.engine, "engine_step": f"{case.step:.4g}", "robot": case.robot, "hidden": case.hidden,
@@ -186,7 +186,7 @@ def row_of(case: Case, found: Diagnosis, seconds: float) -> dict[str, str | floa
         "counts": case.counts, "speed_noise": f"{case.speed_noise:.2g}", "told_engine": found.model.engine or "",
         "told_step": "" if step is None else f"{step:.4g}",
         **answer_of(found, found.verdict == "nothing" if case.hidden == "nothing" else names_only(found, wanted(case))),
-        "seconds": f"{seconds:.0f}", "commit": provenance()["commit"],
+        "seconds": f"{seconds:.0f}", "commit": commit,
         "version": metadata.version("pybullet" if case.engine == "bullet" else "mujoco"),
     }  # fmt: skip
 
@@ -208,13 +208,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 f"{engine} cannot be imported here: pip install pybullet, or leave it out of --engines"
             )
 
+    commit = provenance()["commit"]  # before anybody works on the files
+
     def answered(index: int) -> dict[str, str | float]:
         case, folder = draw_case(args.seed, index, args.engines), args.out / f"{args.seed}_{index}"
         folder.mkdir(parents=True, exist_ok=True)
         log, robot = write_log(case, folder)
         began = time.process_time()
         found = diagnose(log, load_system(robot))
-        return row_of(case, found, time.process_time() - began)
+        return row_of(case, found, time.process_time() - began, commit)
 
     go_on(args.out / f"{'_'.join(args.engines)}_{args.seed}.csv", COLUMNS, args.cases, answered)
     return 0
