@@ -15,7 +15,6 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +24,15 @@ from deepkoco.systems import load_system
 from experiments.plumbing.provenance import provenance
 from experiments.studies.diagnosis.rows import go_on
 from experiments.studies.diagnosis.simulated_robots import ANSWER, answer_of, names_only
-from experiments.studies.diagnosis.urdf_arms import ENGINES, has_engine, holding, reach, turns_of, urdf_of
+from experiments.studies.diagnosis.urdf_arms import (
+    ENGINES,
+    has_engine,
+    holding,
+    reach,
+    turns_of,
+    urdf_of,
+    version_of,
+)
 
 ROBOTS = {"arm": ("shoulder", "elbow"), "turret": ("yaw", "shoulder"), "arm3": ("yaw", "shoulder", "elbow")}
 USUAL = {"length": (0.15, 0.35), "mass": (0.4, 1.4), "damping": (0.05, 0.2), "friction": (0.04, 0.15)}
@@ -187,7 +194,7 @@ def row_of(case: Case, found: Diagnosis, seconds: float, commit: str) -> dict[st
         "told_step": "" if step is None else f"{step:.4g}",
         **answer_of(found, found.verdict == "nothing" if case.hidden == "nothing" else names_only(found, wanted(case))),
         "seconds": f"{seconds:.0f}", "commit": commit,
-        "version": metadata.version("pybullet" if case.engine == "bullet" else "mujoco"),
+        "version": version_of(case.engine),
     }  # fmt: skip
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib.util
 import math
 from collections.abc import Mapping, Sequence
+from importlib import metadata
 from pathlib import Path
 from typing import Protocol
 
@@ -151,6 +152,14 @@ ENGINES = {"mujoco": InMujoco, "bullet": InBullet}
 def has_engine(name: str) -> bool:
     """Whether an engine of `ENGINES` can be imported here."""
     return name != "bullet" or importlib.util.find_spec("pybullet") is not None
+
+
+def version_of(name: str) -> str:
+    """Version of an engine of `ENGINES`."""
+    try:
+        return metadata.version("pybullet" if name == "bullet" else name)
+    except metadata.PackageNotFoundError:  # on the path without its metadata
+        return "unknown"
 
 
 def holding(joints: Sequence[str], values: Mapping[str, float]) -> np.ndarray:
