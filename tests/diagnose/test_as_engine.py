@@ -149,6 +149,35 @@ def test_short_and_long_steps_of_another_engine_are_found(slider, share):
     assert closest(slider, left)[0].engine_step == pytest.approx(best, rel=0.05)
 
 
+def test_a_step_of_mujoco_is_asked_for_where_that_of_the_file_leaves_only_noise(slider):
+    # A healthy arm in steps of 0.5 ms: 1.05 noise variances in those of 2 ms, 0.85 in its own.
+    def left(law):
+        if law.engine != "MuJoCo":
+            return Left(1e5, 7.7)
+        away = 0.02 * (law.engine_step / 0.00025 - 1.0) ** 2
+        return Left(1e4 * (0.85 + away), 0.85 + away)
+
+    assert left(slider.with_engine()).per_sample < 1.2
+    found, leaves = closest(slider, left)
+    assert (found.engine, found.engine_step) == ("MuJoCo", pytest.approx(0.00025))
+    assert leaves.per_sample == pytest.approx(0.85)
+
+
+def test_the_step_of_every_logged_command_is_tried_first(slider):
+    # Costs of short steps need not lead to it: a joint that turns leaves many minima.
+    def left(law):
+        if law.engine == "MuJoCo":
+            return Left(1e6, 50.0)
+        known = {None: 10.6, 0.005: 1.0, 0.0025: 13.9}
+        per_sample = known.get(law.engine_step, 6.0)
+        return Left(1e4 * per_sample, per_sample)
+
+    def nearest(step):
+        return 0.005 / max(round(0.005 / step), 1)
+
+    assert closest(slider, left, nearest)[0].engine_step == 0.005
+
+
 def test_logs_that_no_step_follows_better_are_of_a_machine(slider):
     asked = []
 
