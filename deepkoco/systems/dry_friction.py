@@ -281,8 +281,8 @@ def _rubbed_in_a_loop(
     holds: list[Tensor | None] = [None] * joints
     for r, j in enumerate(rubbing):
         loads[j], holds[j] = (torch.from_numpy(x[r]).view(shape) for x in (load, hold))
-    whole = [torch.from_numpy(x).view(joints, *shape).unbind(0) for x in (speed, moved)]
-    return Rubbed(whole[0], whole[1], tuple(loads), tuple(holds))
+    motion = [torch.from_numpy(x).view(joints, *shape).unbind(0) for x in (speed, moved)]
+    return Rubbed(motion[0], motion[1], tuple(loads), tuple(holds))
 
 
 def creep_table(creeps: Creeps, rubbing: Sequence[int], shape: tuple[int, ...]) -> np.ndarray:

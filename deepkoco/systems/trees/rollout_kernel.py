@@ -21,7 +21,7 @@ from deepkoco.systems.trees.newton_euler_kernel import LOAD, ROWS, SPARE
 from deepkoco.systems.trees.step_kernel import mean_levels, runge_kutta
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "fd0c74f88e948110"
+COMPILED_WITH = "7c0a89958229f459"
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

@@ -18,7 +18,7 @@ from deepkoco.systems.sines import FARTHEST, near_sine_and_cosine
 from deepkoco.systems.uncounted import UNCOUNTED
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "b0947cc5a3ccbd3e"
+COMPILED_WITH = "2e6d28699e0f1b16"
 
 OPCODES = (
     "add", "sub", "mul", "div", "neg", "abs", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh",
