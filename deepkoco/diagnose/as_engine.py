@@ -8,19 +8,24 @@ the file. What the engine does early or late is a share of its step, so a parabo
 An engine of rigid bodies has such steps too, with a friction that holds; they leave only noise of its logs. A hidden
 cause, such as a delay of commands, may decide wrongly there; so the question is asked once more beside the causes that
 were found (:mod:`deepkoco.diagnose.the_other_way`).
+Where more than noise is left, it is asked at once beside a delay of all commands, too, which hides that an engine has
+them early.
 """
 
 from __future__ import annotations
 
 import contextlib
 import logging
+import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
-from typing import NamedTuple, TypeVar
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
-from deepkoco.diagnose.baseline import Baseline, baseline_from, on_half_windows
+from deepkoco.diagnose.baseline import Baseline
+from deepkoco.diagnose.left_of_logs import Left, LeftOfLogs
+from deepkoco.fit.data.own_steps import nearest_own_step
 from deepkoco.fit.data.windows import cut_windows, estimate_channels, moving
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.logs.recording import Recording
@@ -28,9 +33,6 @@ from deepkoco.systems import System
 from deepkoco.systems.engine_names import MUJOCO, SEMI_IMPLICIT
 
 SOME = 16  # windows that decide
-# Fall of the cost, in noise variances that the engine leaves, from which it counts. Logs without rest and with much
-# noise leave both alike.
-MARGIN = 10.0
 # Noise variances that a simulation by the engine leaves of its own logs at most. A real robot that its file describes
 # badly leaves hundreds with either law, and which of two refits ends lower says nothing of friction.
 NEAR = 10.0
@@ -45,22 +47,6 @@ SAME = 0.02  # relative difference of steps that logs hardly tell
 log = logging.getLogger(__name__)
 
 S = TypeVar("S", bound=System)
-
-
-class Left(NamedTuple):
-    """What a simulation leaves of logs.
-
-    Attributes:
-        cost: chi2 and squared distance from the prior.
-        per_sample: chi2 of one sample.
-    """
-
-    cost: float
-    per_sample: float
-
-    def less_than(self, other: Left) -> bool:
-        """Whether it leaves so much less than another that this counts."""
-        return other.cost - self.cost > MARGIN * max(self.per_sample, 1.0)
 
 
 def as_engine_if_shown(
@@ -85,50 +71,63 @@ def as_engine_if_shown(
     if len(windows) == 0:
         return system
     windows = windows.take(np.unique(np.linspace(0, len(windows) - 1, SOME).astype(int)))
-    values: dict[str, float] = {}
-
-    def left(law: System) -> Left:
-        start = baseline_from(law, windows)
-        start = replace(start, values={**start.values, **values})
-        fit = on_half_windows(start, windows, start.prior.names)
-        values.update({name: fit.values[name] for name in start.prior.names})
-        return Left(fit.cost, fit.chi2 / max(windows.samples, 1))
-
+    left, nearest = LeftOfLogs(windows), partial(nearest_own_step, windows)
     try:
-        return closest(system, left)
+        held = left(system)
+        law, leaves = closest(system, left, nearest, held=held)
     except DivergedError:
         return system
+    if not NOISE < leaves.per_sample <= FAR:
+        return law
+    with contextlib.suppress(DivergedError):
+        # Late commands hide that an engine has them early.
+        if (late := left.late(system)).less_than(held):
+            other, _ = closest(system, left.late, nearest, NOISE, late)
+            return law if other.engine is None else other
+    return law
 
 
-def closest(machine: S, left: Callable[[S], Left]) -> S:
-    """Return the machine, or its simulation by an engine in the steps that leave least of logs.
+def closest(
+    machine: S,
+    left: Callable[[S], Left],
+    nearest: Callable[[float], float] = lambda step: step,
+    near: float = NEAR,
+    held: Left | None = None,
+) -> tuple[S, Left]:
+    """Return the machine, or its simulation by an engine in the steps that leave least of logs, and what it leaves.
 
     Args:
         machine: Simulated as a machine; it has engines.
         left: What a simulation leaves of the logs.
+        nearest: Step [s] -> the nearest one that semi-implicit steps of these logs can have.
+        near: Noise variances that a simulation as by the engine of the file leaves at most.
+        held: What the machine leaves, where that is known.
 
     Raises:
         DivergedError: A simulation diverges.
     """
-    held = left(machine)
-    own, found = _as_in_file(machine, left, held) if MUJOCO in machine.engines else (held, machine)
+    held = left(machine) if held is None else held
+    own, found = held, machine
+    if MUJOCO in machine.engines:
+        own, found = _as_in_file(machine, left, held, near)
     if SEMI_IMPLICIT in machine.engines and NOISE < own.per_sample <= FAR:
         with contextlib.suppress(DivergedError):
-            again, rigid = _as_rigid(machine, left, held)
+            again, rigid = _as_rigid(machine, left, held, nearest)
             # The logs choose the steps, too, which a bad model could use; so they have to leave only noise.
             if again.per_sample <= NOISE and again.less_than(own):
-                return rigid
-    return found
+                return rigid, again
+    return found, own
 
 
-def _as_in_file(machine: S, left: Callable[[S], Left], held: Left) -> tuple[Left, S]:
+def _as_in_file(machine: S, left: Callable[[S], Left], held: Left, near: float) -> tuple[Left, S]:
     """What is left and its system: the machine, or its simulation by the engine of its file where that is closer."""
     of_file = machine.with_engine(MUJOCO)
     assert of_file is not None
     assert of_file.engine_step is not None
     best, simulated = left(of_file), of_file
     log.debug("%s: %s as a machine, %s as in %s", machine.name, held, best, of_file.engine)
-    if NOISE < min(best.per_sample, held.per_sample) <= FAR:
+    # Steps of 2 ms for 0.5 ms can leave only noise here, and look like a filter of the sensors and lost commands.
+    if NOISE < min(best.per_sample, held.per_sample) <= FAR or best.less_than(held):
         step = of_file.engine_step
         with contextlib.suppress(DivergedError):  # the step of the file then stands
             costs = {step: best.cost}
@@ -139,11 +138,13 @@ def _as_in_file(machine: S, left: Callable[[S], Left], held: Left) -> tuple[Left
             log.debug("%s: %s in steps of %.3g s, costs %s", machine.name, again, other.engine_step, costs)
             if again.less_than(best):
                 simulated, best = other, again
-    is_close = best.per_sample <= NEAR and best.less_than(held)
+    is_close = best.per_sample <= near and best.less_than(held)
     return (best, simulated) if is_close else (held, machine)
 
 
-def _as_rigid(machine: S, left: Callable[[S], Left], held: Left) -> tuple[Left, S]:
+def _as_rigid(
+    machine: S, left: Callable[[S], Left], held: Left, nearest: Callable[[float], float]
+) -> tuple[Left, S]:
     """What is left in semi-implicit steps of the best length, and their system; a step of 0 is the machine.
 
     Raises:
@@ -156,16 +157,24 @@ def _as_rigid(machine: S, left: Callable[[S], Left], held: Left) -> tuple[Left, 
 
     def ask(step: float) -> bool:
         """Whether a step leaves less of the logs than the machine does."""
+        step = nearest(step)
         systems[step] = _in_steps(machine, SEMI_IMPLICIT, step)
         found[step] = left(systems[step])
         return found[step].cost < held.cost
 
-    # Twice the best step is as bad as the machine, and longer ones are worse.
-    if not any(ask(share * usual.engine_step) for share in SHARES):
+    # A loop that logs every step of its engine is the usual one. Else twice the best step is as bad as the machine, and
+    # longer ones are worse.
+    wanted, longest = usual.engine_step, nearest(math.inf)
+    with contextlib.suppress(DivergedError):
+        if math.isfinite(longest) and ask(longest):
+            wanted = 0.5 * longest
+    if wanted == usual.engine_step and not any(ask(share * usual.engine_step) for share in SHARES):
         return held, machine
-    wanted = usual.engine_step if len(found) == 2 else _least({h: own.cost for h, own in found.items()})
+    if len(found) > 2:
+        wanted = _least({h: own.cost for h, own in found.items()})
     # A parabola from 0 to 1 ms tells 4 ms roughly, and the next ones better.
     for _ in range(PARABOLAS):
+        wanted = nearest(wanted)
         if any(abs(wanted - step) <= SAME * step for step in found):
             break
         try:

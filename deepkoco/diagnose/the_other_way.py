@@ -5,13 +5,16 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
-from deepkoco.diagnose.as_engine import Left, closest
+from deepkoco.diagnose.as_engine import closest
 from deepkoco.diagnose.baseline import baseline_from, with_gauges_fixed
 from deepkoco.diagnose.evidence.priors import prior_with
 from deepkoco.diagnose.explanation import Explanation
+from deepkoco.diagnose.left_of_logs import Left
 from deepkoco.diagnose.request import DiagnosisRequest
 from deepkoco.diagnose.weighed import explained
+from deepkoco.fit.data.own_steps import in_steps_of, nearest_own_step
 from deepkoco.fit.fit import FitProblem, Trial
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.systems import ExtendedSystem
@@ -52,14 +55,15 @@ def the_other_way(
     request.progress("again, " + ("as a machine" if other.engine is None else f"in {other.engine} steps"))
     system = request.system.with_engine(other.engine, other.engine_step)
     assert system is not None
-    train = request.data.train
+    data = request.data
+    held = None if data.held is None else in_steps_of(data.held, system)
+    train = in_steps_of(data.train, system)
+    other_request = replace(request, system=system, data=replace(data, train=train, held=held))
     try:
-        again = explained(
-            replace(request, system=system), with_gauges_fixed(baseline_from(system, train), train), unfitted
-        )
+        again = explained(other_request, with_gauges_fixed(baseline_from(system, train), train), unfitted)
     except DivergedError:
         return request, explanation
-    return replace(request, system=system), again
+    return other_request, again
 
 
 def _closer(machine: ExtendedSystem, now: ExtendedSystem, explanation: Explanation) -> ExtendedSystem | None:
@@ -77,13 +81,13 @@ def _closer(machine: ExtendedSystem, now: ExtendedSystem, explanation: Explanati
     def left(law: ExtendedSystem) -> Left:
         key = (law.engine, law.engine_step)
         if key not in known:
-            same = found.acting if law is now else FitProblem(law, windows)
+            same = found.acting if law is now else FitProblem(law, in_steps_of(windows, law))
             again = same.fit([trial])[0]
             if again.diverged:
                 raise DivergedError("a simulation of another kind diverges")
             known[key] = Left(again.cost, again.chi2 / max(windows.samples, 1))
         return known[key]
 
-    other = closest(machine, left)
+    other, _ = closest(machine, left, partial(nearest_own_step, windows))
     log.debug("with causes: %s", known)
     return other if left(other).less_than(left(now)) else None

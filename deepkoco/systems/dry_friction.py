@@ -100,6 +100,25 @@ def slide_and_rest(
     return after, 0.5 * (speed + first) * until + 0.5 * leaves * rest**2
 
 
+def slide_or_stop(speed: Tensor, free: Tensor, slide: Tensor, h: float) -> tuple[Tensor, Tensor]:
+    """Speed after a semi-implicit step, and way over it, of one joint with friction as an impulse.
+
+    Engines of rigid bodies solve it as a motor with the target 0 whose impulse is at most h F: it takes what is left of
+    the speed after the step, or stops the joint, and the step has this speed from its start.
+
+    Args:
+        speed: At the start of the step, per second.
+        free: Acceleration without dry friction, per second squared.
+        slide: Deceleration by dry friction, not negative.
+        h: Step [s].
+
+    Source: Catto, Iterative dynamics with temporal coherence (2005): joint friction as a bounded constraint impulse.
+    """
+    goal = speed + h * free
+    after = torch.sign(goal) * (goal.abs() - h * slide).clamp_min(0.0)
+    return after, h * after
+
+
 def rubbed(
     before: Values,
     after: Values,
@@ -110,6 +129,7 @@ def rubbed(
     h: float,
     creeps: Creeps = None,
     ahead: Values | None = None,
+    whole: bool = False,
 ) -> Rubbed:
     """Find the friction loads of all joints over a step, and correct the speeds after it.
 
@@ -122,13 +142,14 @@ def rubbed(
         inverse: J rows of the inverse inertia.
         h: Step [s].
         creeps, ahead: As of :class:`DryFriction`.
+        whole: Whether friction is an impulse of the whole step, as engines have it: see :func:`slide_or_stop`.
     """
     if ahead is not None:
         return _rubbed_before(before, after, applied, slide, stick, inverse, h, creeps, ahead)
     joints = range(len(before))
     soft = [creep.inertia for creep in creeps or ()]
     if is_plain([*before, *after, *applied, *slide, *stick, *soft, *(w for row in inverse for w in row)]):
-        return _rubbed_in_a_loop(before, after, applied, slide, stick, inverse, h, creeps)
+        return _rubbed_in_a_loop(before, after, applied, slide, stick, inverse, h, creeps, whole)
     load = {j: value for j, value in enumerate(applied) if value is not None}
     mean = [(b - a) / h for a, b in zip(before, after, strict=True)]
     speed, moved, hold = list(after), [0.5 * h * (a + b) for a, b in zip(before, after, strict=True)], {}
@@ -139,7 +160,9 @@ def rubbed(
         for j in load:
             own = inverse[j][j]
             others = mean[j] - own * load[j]
-            if creeps is None:
+            if whole:
+                speed[j], moved[j] = slide_or_stop(before[j], others, own * levels[j][0], h)
+            elif creeps is None:
                 speed[j], moved[j] = slide_and_rest(
                     before[j], others, own * levels[j][0], own * levels[j][1], h
                 )
@@ -158,7 +181,7 @@ def rubbed(
     for k in joints:
         if k not in load:
             speed[k] = before[k] + h * mean[k]
-            moved[k] = 0.5 * h * (before[k] + speed[k])
+            moved[k] = h * speed[k] if whole else 0.5 * h * (before[k] + speed[k])
     return Rubbed(
         tuple(speed),
         tuple(moved),
@@ -224,6 +247,7 @@ def _rubbed_in_a_loop(
     inverse: tuple[Values, ...],
     h: float,
     creeps: Creeps,
+    whole: bool,
 ) -> Rubbed:
     """As :func:`rubbed`, compiled: the sweeps in torch cost several times as much as all other equations."""
     from deepkoco.systems.dry_friction_loop import rub
@@ -250,15 +274,15 @@ def _rubbed_in_a_loop(
     sweeps = 1 if len(rubbing) == 1 else SWEEPS
     soft = creep_table(creeps, rubbing, shape).reshape(len(rubbing), 2, -1)
     rub(
-        start, ends, load, moving, resting, masses, np.array(rubbing, np.int64), soft, h,
+        start, ends, load, moving, resting, masses, np.array(rubbing, np.int64), soft, h, whole,
         sweeps, CLOSE, speed, moved, hold,
     )  # fmt: skip
     loads: list[Tensor | None] = [None] * joints
     holds: list[Tensor | None] = [None] * joints
     for r, j in enumerate(rubbing):
         loads[j], holds[j] = (torch.from_numpy(x[r]).view(shape) for x in (load, hold))
-    whole = [torch.from_numpy(x).view(joints, *shape).unbind(0) for x in (speed, moved)]
-    return Rubbed(whole[0], whole[1], tuple(loads), tuple(holds))
+    motion = [torch.from_numpy(x).view(joints, *shape).unbind(0) for x in (speed, moved)]
+    return Rubbed(motion[0], motion[1], tuple(loads), tuple(holds))
 
 
 def creep_table(creeps: Creeps, rubbing: Sequence[int], shape: tuple[int, ...]) -> np.ndarray:

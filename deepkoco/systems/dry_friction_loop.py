@@ -55,7 +55,22 @@ def slips(before, after, first, last, level, inertia, rate):
 
 @njit(**UNCOUNTED)
 def rub_element(
-    before, load, slide, stick, inverse, rubbing, creeps, mean, step, sweeps, close, speed, moved, hold, n
+    before,
+    load,
+    slide,
+    stick,
+    inverse,
+    rubbing,
+    creeps,
+    mean,
+    step,
+    whole,
+    sweeps,
+    close,
+    speed,
+    moved,
+    hold,
+    n,
 ):
     """Find the friction loads of one element n, as :func:`rub` does; ``mean`` (J,) are its mean accelerations."""
     joints = len(mean)
@@ -71,6 +86,10 @@ def rub_element(
                 end, way = slide_and_creep(
                     v, others, slide[r, n], own, creeps[r, 0, n], creeps[r, 1, n], step
                 )
+            elif whole:
+                goal = v + step * others
+                end = np.sign(goal) * max(abs(goal) - step * own * slide[r, n], 0.0)
+                way = step * end
             else:
                 pace, sign = abs(v), np.sign(v)
                 brake = own * slide[r, n] - sign * others
@@ -97,8 +116,8 @@ def rub_element(
 
 @njit(**UNCOUNTED)
 def rub_before(
-    before, load, slide, stick, inverse, ahead, bare, room, rubbing, creeps, mean, step, sweeps, close, speed, moved,
-    hold, n,
+    before, load, slide, stick, inverse, ahead, bare, room, rubbing, creeps, mean, step, whole, sweeps, close, speed,
+    moved, hold, n,
 ):  # fmt: skip
     """As :func:`rub_element`, with friction found before the armatures ``ahead`` (J, N) slow down the step.
 
@@ -122,7 +141,22 @@ def rub_before(
     for r in range(len(rubbing)):
         room[0, r] = load[r, n]
     rub_element(
-        before, load, slide, stick, bare, rubbing, creeps, room[1], step, sweeps, close, speed, moved, hold, n
+        before,
+        load,
+        slide,
+        stick,
+        bare,
+        rubbing,
+        creeps,
+        room[1],
+        step,
+        whole,
+        sweeps,
+        close,
+        speed,
+        moved,
+        hold,
+        n,
     )
     for r in range(len(rubbing)):
         for k in range(joints):
@@ -136,14 +170,14 @@ def rub_before(
 
 @njit(**UNCOUNTED)
 def rub_in_step(
-    some_ahead, before, load, slide, stick, inverse, ahead, bare, room, rubbing, creeps, mean, step, sweeps, close,
-    speed, moved, hold, n,
+    some_ahead, before, load, slide, stick, inverse, ahead, bare, room, rubbing, creeps, mean, step, whole, sweeps,
+    close, speed, moved, hold, n,
 ):  # fmt: skip
     """As :func:`rub_before` where any armature is ahead, else as :func:`rub_element`."""
     if some_ahead:
         rub_before(
-            before, load, slide, stick, inverse, ahead, bare, room, rubbing, creeps, mean, step, sweeps, close, speed,
-            moved, hold, n,
+            before, load, slide, stick, inverse, ahead, bare, room, rubbing, creeps, mean, step, whole, sweeps, close,
+            speed, moved, hold, n,
         )  # fmt: skip
     else:
         rub_element(
@@ -156,6 +190,7 @@ def rub_in_step(
             creeps,
             mean,
             step,
+            whole,
             sweeps,
             close,
             speed,
@@ -176,6 +211,7 @@ def rub(
     rubbing,  # (R,) indices of the rubbing joints
     creeps,  # (R, 2, N) inertia and rate of their creep; an inertia of 0 where friction holds
     step,  # [s]
+    whole,  # whether friction is an impulse of the whole step
     sweeps,  # largest number
     close,  # change of an acceleration, as a share of it, at which the sweeps end
     speed,  # (J, N) result
@@ -201,6 +237,7 @@ def rub(
             creeps,
             mean,
             step,
+            whole,
             sweeps,
             close,
             speed,
@@ -211,4 +248,4 @@ def rub(
         for k in range(joints):
             if not is_rubbing[k]:
                 speed[k, n] = before[k, n] + step * mean[k]
-                moved[k, n] = 0.5 * step * (before[k, n] + speed[k, n])
+                moved[k, n] = step * (speed[k, n] if whole else 0.5 * (before[k, n] + speed[k, n]))

@@ -56,6 +56,7 @@ class StickSlip:
             torch.full((), speed, dtype=torch.float64) for speed in system.smoothing_speeds
         )
         self.rubbing = self._friction.joints
+        self._own_step = system.own_step
 
     @staticmethod
     def sizes(system: System) -> tuple[int, int]:
@@ -74,13 +75,22 @@ class StickSlip:
         return self._memory.start(motion, needed)
 
     def tick(self, joints: Joints, efforts: Values, h: float) -> Joints:
-        """State after a time h [s].
+        """State after a time h [s]; a system with steps of its own takes as many as fit best.
 
         Args:
             joints: At its start.
             efforts: M efforts (...), constant over the tick, in the commands' units.
             h: Length of the tick [s].
         """
+        if self._own_step is not None:
+            parts = max(round(h / self._own_step), 1)
+            for _ in range(parts):
+                joints = self._tick(joints, efforts, h / parts)
+            return joints
+        return self._tick(joints, efforts, h)
+
+    def _tick(self, joints: Joints, efforts: Values, h: float) -> Joints:
+        """As :meth:`tick`, in one step."""
         angles, speeds, rest, memory = joints
         held = dict(zip(self.rubbing, rest, strict=True))
         direction = tuple(torch.sign(v) + held[j] if j in held else None for j, v in enumerate(speeds))
@@ -111,7 +121,10 @@ class StickSlip:
     def _runge_kutta(
         self, joints: Joints, efforts: Values, direction: Levels, h: float, further: Levels | None = None
     ) -> tuple[Values, Values]:
-        """Angles and speeds after a step in which the direction of dry friction stays, under further loads."""
+        """Angles and speeds after a step in which the direction of dry friction stays, under further loads.
+
+        It is a semi-implicit step where the system has steps of its own.
+        """
         q, v, _, before = joints
         half = 0.5 * h
 
@@ -127,6 +140,9 @@ class StickSlip:
             return self._free(motion._replace(loads=loads))
 
         a1 = under(q, v)
+        if self._own_step is not None:
+            after = _moved(v, a1, h)
+            return _moved(q, after, h), after
         v2 = _moved(v, a1, half)
         a2 = under(_moved(q, v, half), v2)
         v3 = _moved(v, a2, half)
@@ -158,8 +174,19 @@ class StickSlip:
         inverse = self._inverse(halfway)
         slide = stick = self._friction.steady
         if self._friction.varying:
-            slide = self._friction.levels(halfway._replace(speeds=tuple(0.5 * v for v in speeds)))
+            part = 0.5 if self._own_step is None else 1.0
+            slide = self._friction.levels(halfway._replace(speeds=tuple(part * v for v in speeds)))
             stick = self._friction.levels(halfway._replace(speeds=tuple(torch.zeros_like(v) for v in speeds)))
+        if self._own_step is not None:
+            applied = sliding_loads(slide, direction)
+            found = rubbed(speeds, free[1], applied, slide, slide, inverse, h, whole=True)
+            hold = as_shares(found.hold, stick, direction)[0]
+            rest = [
+                torch.where(own == 0.0, share, 0.0)
+                for own, share in zip(found.speed, hold, strict=True)
+                if share is not None
+            ]
+            return _moved(angles, found.speed, h), found.speed, tuple(rest)
         soft = self._friction.creeps, self._friction.ahead
         found = rubbed(speeds, free[1], sliding_loads(slide, direction), slide, stick, inverse, h, *soft)
         direction, left_over, applied = as_shares(found.load, slide, direction)

@@ -17,7 +17,7 @@ from deepkoco.systems.declared import Declared
 from deepkoco.systems.drawn import Drawn
 from deepkoco.systems.drives import Drive, drives_of
 from deepkoco.systems.dry_friction import DryFriction, Levels
-from deepkoco.systems.engine_names import MUJOCO
+from deepkoco.systems.engine_names import MUJOCO, SEMI_IMPLICIT
 from deepkoco.systems.joint_memory import JointMemory
 from deepkoco.systems.motion import Acceleration, InverseInertia, Motion, PayloadWay
 from deepkoco.systems.named_joints import NamedJoints
@@ -238,6 +238,14 @@ class System(SignalPath, NamedJoints, Drawn, metaclass=Declared):
     def engine_step(self) -> float | None:
         """Step of that engine [s]; None for a real machine."""
         return None
+
+    @property
+    def own_step(self) -> float | None:
+        """Step of simulations that are v' = v + h a(q, v), q' = q + h v' [s], and not of an equation of motion.
+
+        They are taken as they are, in no other length: an error of such a step belongs to what is simulated.
+        """
+        return self.engine_step if self.engine == SEMI_IMPLICIT else None
 
     def with_engine(self, name: str | None = MUJOCO, step: float | None = None) -> Self | None:
         """The system as an engine simulates it; None if it is so in this step already, or is not among `engines`.

@@ -15,7 +15,9 @@ from deepkoco.fit.data.windows import Windows, first_state
 def halved(windows: Windows) -> Windows:
     """Split each window into two halves; the first half of window w has the index 2 w."""
     steps = max(windows.steps // 2, 1)
-    half, joints = 0.5 * windows.length, windows.state.shape[1] // 2
+    # Steps of the system's own are never cut: a last one that is odd is left out.
+    half = windows.step * steps if windows.own_steps else 0.5 * windows.length
+    joints = windows.state.shape[1] // 2
     parts = []
     for w in range(len(windows)):
         for k in (0, 1):

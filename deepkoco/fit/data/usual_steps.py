@@ -17,6 +17,8 @@ def with_usual_steps(windows: Windows, system: System) -> Windows:
         windows: Windows, perhaps with steps that are cut into a power of two.
         system: Their system.
     """
+    if windows.own_steps:
+        return windows
     gaps = [float(np.median(np.diff(c.t))) for c in windows.commands if len(c.t) > 1]
     fewest = windows.step * windows.steps / FEWEST_STEPS
     longest = (1.0 + SLIGHTLY) * min(integration_step(system), fewest, *gaps)

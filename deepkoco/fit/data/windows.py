@@ -62,6 +62,7 @@ class Windows:
         unseen: Per joint, the way up to which noise of its encoder hid a motion from ``way``; 0 without an encoder.
         taken_out: Per channel, the standard deviation by which its stamps scattered about the even times that took
             their place [s], see :mod:`.even_stamps`; empty where none did.
+        own_steps: Whether the integration steps are the system's own, which nobody cuts: :attr:`.System.own_step`.
         doubt: (W, N) factor of the noise of a channel in a window, at least 1; None for 1. See :mod:`..solve.robust`.
     """
 
@@ -84,6 +85,7 @@ class Windows:
     way: Tensor | None = None
     unseen: tuple[float, ...] = ()
     taken_out: tuple[float, ...] = ()
+    own_steps: bool = False
 
     def __len__(self) -> int:
         return len(self.t0)
@@ -190,7 +192,11 @@ def cut_windows(
     """
     channels = [channel_series(recording, system) for recording in recordings]
     longest = min(integration_step(system), length / FEWEST_STEPS)
-    step, steps, regular = _grid([command.t for command, _ in channels if command.changes], length, longest)
+    stamps = [command.t for command, _ in channels if command.changes]
+    if system.own_step is None:
+        step, steps, regular = _grid(stamps, length, longest)
+    else:
+        step, steps, regular = grid_of_own_steps(stamps, length, system.own_step)
     length = step * steps
     names = [channel.name for channel in system.measurements]
     noise = estimate_channels(recordings, system) if noise is None else noise
@@ -204,7 +210,7 @@ def cut_windows(
         if regular and command.changes and start < command.t[-1]:
             start = float(command.t[np.searchsorted(command.t, start - EARLY * step)])
         stop = min(max(t[-1] for t, _ in series.values()), command.t[-1] + length)
-        for t0 in _starts(start, stop, length, cover):
+        for t0 in _starts(start, stop, length, cover, step if system.own_step is not None else 0.0):
             if any(begin < t0 + length and end > t0 - HISTORY for begin, end in recording.unknown):
                 continue
             pieces = {n: _piece(*series[n], t0, t0 + length) for n in names if n in series}
@@ -246,6 +252,7 @@ def cut_windows(
         way=torch.from_numpy(way),
         unseen=unseen,
         taken_out=scatter_taken_out(recordings, [series for _, series in channels], names),
+        own_steps=system.own_step is not None,
     )
 
 
@@ -264,9 +271,8 @@ def _grid(stamps: Sequence[np.ndarray], length: float, longest: float) -> tuple[
         longest: Longest step [s].
     """
     steps = math.ceil(length / longest - 1e-9)
-    periods = [regular_period(t) for t in stamps]
-    period = periods[0] if periods else None
-    if period is None or any(p is None or abs(p - period) > ONE_RATE * period for p in periods):
+    period = common_period(stamps)
+    if period is None:
         return length / steps, steps, False
     share = longest * (1.0 + SLIGHTLY) / period
     if share >= 1.0:
@@ -274,6 +280,33 @@ def _grid(stamps: Sequence[np.ndarray], length: float, longest: float) -> tuple[
         return step, max(round(length / step), 1), True
     parts = math.ceil(1.0 / share)
     return period / parts, parts * max(round(length / period), 1), True
+
+
+def grid_of_own_steps(stamps: Sequence[np.ndarray], length: float, own: float) -> tuple[float, int, bool]:
+    """As :func:`_grid`, for a system with steps of its own: as many as fit best between two commands.
+
+    A window has an even number of them, so that each half of it is made of whole ones.
+
+    Args:
+        stamps, length: As there.
+        own: Step of the system [s].
+    """
+    period = common_period(stamps)
+    if period is None:
+        steps = 2 * max(round(0.5 * length / own), 1)
+        return length / steps, steps, False
+    parts = max(round(period / own), 1)
+    periods = max(round(length / period), 1)
+    return period / parts, parts * (periods + (parts * periods) % 2), True
+
+
+def common_period(stamps: Sequence[np.ndarray]) -> float | None:
+    """Return the regular period of the commands of all logs [s]; None where they have none in common."""
+    periods = [regular_period(t) for t in stamps]
+    period = periods[0] if periods else None
+    if period is None or any(p is None or abs(p - period) > ONE_RATE * period for p in periods):
+        return None
+    return period
 
 
 def regular_period(t: np.ndarray) -> float | None:
@@ -323,13 +356,17 @@ def moving(windows: Windows) -> np.ndarray:
     return keep if keep.sum() >= max(MIN_MOVING_WINDOWS, 0.3 * moves.sum()) else moves
 
 
-def _starts(start: float, stop: float, length: float, cover: bool) -> np.ndarray:
-    """Starts of the windows between two times; with ``cover``, up to 2 % of a window may stay uncovered."""
+def _starts(start: float, stop: float, length: float, cover: bool, own: float) -> np.ndarray:
+    """Starts of the windows between two times; with ``cover``, up to 2 % of a window may stay uncovered.
+
+    They are whole steps apart where the system has steps of its own [s]; 0 where it has none.
+    """
     fit = (stop - start) / length
     if fit < 1.0 - 1e-9:
         return np.zeros(0)
     if cover:
-        return np.linspace(start, stop - length, math.ceil(fit - 0.02))
+        apart = np.linspace(0.0, stop - length - start, math.ceil(fit - 0.02))
+        return start + (apart if own == 0.0 else own * np.floor(apart / own + EARLY))
     return start + length * np.arange(int(fit + 1e-9))
 
 

@@ -59,6 +59,7 @@ class Equations(NamedTuple):
         inverse: Inverse inertia.
         smoothing: Per joint, speed over which equations smooth a dry friction that they do not declare, per second.
         memory: Effects that remember the way of a joint.
+        impulsive: Whether steps are semi-implicit ones, with friction as an impulse of each: :attr:`.System.own_step`.
     """
 
     free: Acceleration
@@ -66,6 +67,7 @@ class Equations(NamedTuple):
     inverse: InverseInertia
     smoothing: Values
     memory: JointMemory = JointMemory(())
+    impulsive: bool = False
 
 
 def equations_of(
@@ -80,10 +82,12 @@ def equations_of(
     """
     smoothing = tuple(torch.full((), speed, dtype=torch.float64) for speed in system.smoothing_speeds)
     inverse, friction = system.inverse_inertia(parameters), friction_of(system, parameters, lanes)
+    memory, impulsive = JointMemory(()), system.own_step is not None
     if not isinstance(system, ExtendedSystem):
-        return Equations(system.free_accelerations(parameters), friction, inverse, smoothing)
-    free = system.free_accelerations(parameters, lanes)
-    return Equations(free, friction, inverse, smoothing, system.joint_memory(parameters))
+        free = system.free_accelerations(parameters)
+    else:
+        free, memory = system.free_accelerations(parameters, lanes), system.joint_memory(parameters)
+    return Equations(free, friction, inverse, smoothing, memory, impulsive)
 
 
 def friction_of(
@@ -126,7 +130,7 @@ def directions(speed: Values, rest: Levels, friction: DryFriction) -> Levels:
 def step_of(
     equations: Equations, angle: Values, speed: Values, drive: Drive, direction: Levels, h: float
 ) -> Step:
-    """One step of the classical Runge-Kutta method, under efforts that are linear in time.
+    """One step of the classical Runge-Kutta method, under efforts that are linear in time, or a semi-implicit one.
 
     The direction of dry friction stays during the step. Where a joint comes to rest, turns or leaves,
     :func:`corrected` mends the result.
@@ -141,7 +145,7 @@ def step_of(
     """
     half = 0.5 * h
     (begin, middle, end), (t1, t2, t4), load, before = drive
-    free, friction, _, smoothing, memory = equations
+    free, friction, _, smoothing, memory, impulsive = equations
 
     def under(motion: Motion) -> Values:
         loads = _with_friction(load, friction.levels(motion), direction) if steady is None else steady
@@ -150,14 +154,17 @@ def step_of(
         return free(motion._replace(loads=loads))
 
     steady = None if friction.varying else _with_friction(load, friction.steady, direction)
+    none = (None,) * len(speed)
     a1 = under(Motion(angle, speed, begin, None, t1, smoothing))
+    if impulsive:
+        after = _moved(speed, a1, h)
+        return Step(_moved(angle, after, h), after, a1, a1, none)
     q2, v2 = _moved(angle, speed, half), _moved(speed, a1, half)
     a2 = under(Motion(q2, v2, middle, None, t2, smoothing))
     q3, v3 = _moved(angle, v2, half), _moved(speed, a2, half)
     a3 = under(Motion(q3, v3, middle, None, t2, smoothing))
     q4, v4 = _moved(angle, v3, h), _moved(speed, a3, h)
     a4 = under(Motion(q4, v4, end, None, t4, smoothing))
-    none = (None,) * len(speed)
     return Step(_mean(angle, speed, v2, v3, v4, h), _mean(speed, a1, a2, a3, a4, h), a1, a4, none)
 
 
@@ -232,12 +239,28 @@ def corrected(
         step: Its result.
     """
     at = contact_of(equations, angle, speed, drive, direction)
+    if equations.impulsive:
+        found = rubbed(speed, step.speed, at.applied, at.slide, at.slide, at.inverse, h, whole=True)
+        return _impelled(angle, speed, found, at.stick, direction, h)
     creeps, ahead = equations.friction.creeps, equations.friction.ahead
     found = rubbed(speed, step.speed, at.applied, at.slide, at.stick, at.inverse, h, creeps, ahead)
     again, direction, applied = step_again(equations, angle, speed, drive, direction, at, found.load, h)
     found = rubbed(speed, again.speed, applied, at.slide, at.stick, at.inverse, h, creeps, ahead)
     bound = bound_of(angle, speed, again, direction, at.stick, found, h)
     return bound if creeps is None else _with_mean_ends(equations.friction, at.slide, speed, bound, h)
+
+
+def _impelled(
+    angle: Values, speed: Values, found: Rubbed, stick: Levels, direction: Levels, h: float
+) -> Step:
+    """Return the semi-implicit step with the impulses of friction that are found."""
+    mean = tuple((after - before) / h for after, before in zip(found.speed, speed, strict=True))
+    hold, _, _ = as_shares(found.hold, stick, direction)
+    rest = tuple(
+        None if share is None else torch.where(own == 0.0, share, torch.zeros((), dtype=share.dtype))
+        for own, share in zip(found.speed, hold, strict=True)
+    )
+    return Step(_moved(angle, found.speed, h), found.speed, mean, mean, rest)
 
 
 def contact_of(
@@ -249,7 +272,9 @@ def contact_of(
     inverse = equations.inverse(halfway)
     slide = stick = friction.steady
     if friction.varying:
-        slide = _mean_levels(friction, halfway, drive, tuple(0.5 * v for v in speed))
+        # An engine has the friction of the speed at the start.
+        part = 1.0 if equations.impulsive else 0.5
+        slide = _mean_levels(friction, halfway, drive, tuple(part * v for v in speed))
         stick = _mean_levels(friction, halfway, drive, tuple(torch.zeros_like(v) for v in speed))
     return Contact(inverse, slide, stick, sliding_loads(slide, direction))
 

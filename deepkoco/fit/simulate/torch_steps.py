@@ -68,7 +68,8 @@ def in_torch(equations: Equations, given: StepsInput) -> Nodes:
     # Terms that do not depend on the motion are computed for all steps at once, because calls of torch are slow.
     offsets = torch.tensor([i * h for i in range(steps)], dtype=torch.float64)[:, None, None]
     at = [(given.time + offsets + later).unbind(0) for later in (0.0, half, h)]
-    efforts = [_over_steps(given.begin, given.slope, later) for later in (0.0, half, h)]
+    moments = (half, half, half) if equations.impulsive else (0.0, half, h)
+    efforts = [_over_steps(given.begin, given.slope, later) for later in moments]
     loads = [None] * steps if given.loads is None else [p.unbind(0) for p in given.loads.unbind(0)]
     remembered = first_memory(equations, given)
     for i in range(steps):

@@ -20,7 +20,7 @@ def engines_with(of_file: Engine | None) -> tuple[str, ...]:
 def engine_named(of_file: Engine | None, name: str | None, step: float | None) -> Engine | None:
     """The engine of a name; None for a machine, and where a tree has none of this name.
 
-    Rigid bodies in semi-implicit steps have explicit loads and a dry friction that holds.
+    Semi-implicit steps are taken as they are (:attr:`.System.own_step`), so nothing in them is early or late.
 
     Args:
         of_file: Engine of the tree's file; None where it states none.
@@ -30,7 +30,7 @@ def engine_named(of_file: Engine | None, name: str | None, step: float | None) -
     engine = of_file if name == MUJOCO else None
     if name == SEMI_IMPLICIT:
         usual = USUAL_STEP if of_file is None else of_file.step
-        engine = Engine(None, usual, 0.5, 0.5, 0.5, name=SEMI_IMPLICIT)
+        engine = Engine(None, usual, name=SEMI_IMPLICIT)
     return engine if engine is None or step is None else replace(engine, step=step)
 
 
@@ -41,6 +41,7 @@ def noted(notes: Sequence[str], engine: Engine | None) -> tuple[str, ...]:
         return others
     does = ["dry friction creeps"] if engine.softness is not None else []
     does += ["commands act half a step early"] if engine.lead > 0.0 else []
+    does += ["dry friction is an impulse of each step"] if engine.name == SEMI_IMPLICIT else []
     long = f"in steps of {1e3 * engine.step:.3g} ms" if engine.step > 0.0 else "in steps too short to show"
     who = "MuJoCo does it" if engine.name == MUJOCO else "engines of rigid bodies do it (Bullet)"
     said = f"simulated as {who}, {NO_MACHINE}: {long} {' and '.join(does) or 'it moves as a machine'}"

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from torch import Tensor
 
+from deepkoco.systems.engine_names import SEMI_IMPLICIT
 from deepkoco.systems.motion import Acceleration, Motion
 from deepkoco.systems.parameter import Parameters
 from deepkoco.systems.plain import is_plain
@@ -46,10 +47,13 @@ class Numbers(NamedTuple):
 
     @staticmethod
     def of(tree: Tree, parameters: Parameters, steadying: Steadying | None = None) -> Numbers:
-        """Numbers of a tree under named values; ``steadying`` adds the armatures that simulations need."""
+        """Numbers of a tree under named values; ``steadying`` adds the armatures that simulations need.
+
+        Steps of an engine that are taken as they are need none: what is too fast for them is so in the engine, too.
+        """
         passive = {kind: [joint_value(parameters, kind, joint) for joint in tree.joints] for kind in PASSIVE}
         laws = [actuator_law(actuator, parameters) for actuator in tree.actuators]
-        if steadying is not None:
+        if steadying is not None and (steadying.engine is None or steadying.engine.name != SEMI_IMPLICIT):
             step = min(steadying.longest_step, LONGEST_STEP)
             added = added_armatures(tree.actuators, steadying.least_inertias, passive, laws, step)
             passive["armature"] = [add(a, b) for a, b in zip(passive["armature"], added, strict=True)]

@@ -47,6 +47,7 @@ class TreeRollout:
         forces: Outside forces.
         loads: Loads of effects.
         late: Time by which the speeds in all loads are late, as in an engine [s].
+        impulsive: Whether steps are semi-implicit ones, with friction as an impulse of each.
     """
 
     def __init__(
@@ -55,8 +56,10 @@ class TreeRollout:
         forces: Sequence[OutsideForce] = (),
         loads: Sequence[EffectLoad] = (),
         late: float = 0.0,
+        impulsive: bool = False,
     ) -> None:
-        self._law, self._forces, self._loads, self._late = law, tuple(forces), tuple(loads), late
+        self._law, self._forces, self._loads = law, tuple(forces), tuple(loads)
+        self._late, self._impulsive = late, impulsive
 
     def knows(self, kind: str) -> bool:
         """Whether the loop can add the loads of effects of this name."""
@@ -67,7 +70,7 @@ class TreeRollout:
         if not is_plain([v for load in loads for v in load.values]):
             return None
         known = (own for load in loads for own in _as_known(load))
-        return TreeRollout(self._law, self._forces, (*self._loads, *known), self._late)
+        return TreeRollout(self._law, self._forces, (*self._loads, *known), self._late, self._impulsive)
 
     def run(self, given: RolloutInput) -> RolloutResult | None:
         """Simulate; None where a tensor is no plain number."""
@@ -137,7 +140,7 @@ class TreeRollout:
             np.array(given.friction.joints, np.int64), creeps,
             steady.reshape(joints, groups), given.step, start, time, sent, begin, slope, loads,
             ahead.reshape(joints, groups), 1 if len(given.friction.joints) == 1 else SWEEPS, CLOSE,
-            self._late, value, left, right,
+            self._late, self._impulsive, value, left, right,
         )  # fmt: skip
         return RolloutResult(*(_parts(x, shape) for x in (value, left, right)))
 

@@ -21,7 +21,7 @@ from deepkoco.systems.trees.newton_euler_kernel import LOAD, ROWS, SPARE
 from deepkoco.systems.trees.step_kernel import mean_levels, runge_kutta
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "64869810685d2004"
+COMPILED_WITH = "7c0a89958229f459"
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -48,6 +48,7 @@ def tree_rollout(
     sweeps,  # largest number, of dry friction
     close,  # change of an acceleration, as a share of it, at which these end
     late,  # time by which the speeds in all loads are late [s]
+    impulsive,  # whether steps are semi-implicit ones, with friction as an impulse of each
     value,  # (2 J, n + 1, N) result: states at the nodes
     left,  # (J, n, N) result: accelerations at the start of each step
     right,  # (J, n, N) result: accelerations at its end
@@ -131,6 +132,8 @@ def tree_rollout(
                     efforts[0, a, i] = begin[a, n, c]
                     efforts[1, a, i] = begin[a, n, c] + 0.5 * step * slope[a, n, c]
                     efforts[2, a, i] = begin[a, n, c] + step * slope[a, n, c]
+                    if impulsive:
+                        efforts[0, a, i] = efforts[2, a, i] = efforts[1, a, i]
                 for k in range(joints):
                     push[k, i] = loads[k, n, e] if len(loads) else 0.0
             for r in range(len(rubbing)):
@@ -139,7 +142,7 @@ def tree_rollout(
                     direction[j, i] = np.sign(speed[j, i]) + held[j, i]
             runge_kutta(
                 tree, own, effects, rows, masses, which, forces, level, stages, angle, speed, efforts, times, push,
-                own_steady, direction, step, late, q, v, first, last,
+                own_steady, direction, step, late, impulsive, q, v, first, last,
             )  # fmt: skip
             some = False
             for i in range(LANES):
@@ -180,8 +183,9 @@ def tree_rollout(
                     for k in range(joints):
                         for i in range(LANES):
                             inverse[k, j, i] = s[k, LOAD, i]
+                part = 1.0 if impulsive else 0.5  # an engine has the friction of the speed at the start
                 mean_levels(
-                    tree, own, effects, forces, own_steady, angle, speed, 0.5, efforts, scratch, end, slide
+                    tree, own, effects, forces, own_steady, angle, speed, part, efforts, scratch, end, slide
                 )
                 mean_levels(
                     tree, own, effects, forces, own_steady, angle, speed, 0.0, efforts, scratch, end, stick
@@ -197,8 +201,18 @@ def tree_rollout(
                             accelerated[k] = (v[k, i] - speed[k, i]) / step
                         rub_in_step(
                             some_ahead, speed, load, moving, resting, inverse, own_ahead, bare, spared, rubbing,
-                            own_creeps, accelerated, step, sweeps, close, end, moved, hold, i,
+                            own_creeps, accelerated, step, impulsive, sweeps, close, end, moved, hold, i,
                         )  # fmt: skip
+                        if impulsive:
+                            for k in range(joints):
+                                v[k, i] = end[k, i] if is_rubbing[k] else speed[k, i] + step * accelerated[k]
+                                q[k, i] = angle[k, i] + step * v[k, i]
+                                first[k, i] = last[k, i] = (v[k, i] - speed[k, i]) / step
+                            for r in range(len(rubbing)):
+                                j = rubbing[r]
+                                if v[j, i] == 0.0 and stick[j, i] > 0.0:
+                                    held[j, i] = -hold[r, i] / stick[j, i]
+                            continue
                         for r in range(len(rubbing)):
                             j = rubbing[r]
                             if slide[j, i] > 0.0:
@@ -208,18 +222,19 @@ def tree_rollout(
                                     push[j, i] += load[r, i] + slide[j, i] * direction[j, i]
                             else:
                                 load[r, i] = 0.0
-                runge_kutta(
-                    tree, own, effects, rows, masses, which, forces, level, stages, angle, speed, efforts, times, push,
-                    own_steady, direction, step, late, q, v, first, last,
-                )  # fmt: skip
+                if not impulsive:
+                    runge_kutta(
+                        tree, own, effects, rows, masses, which, forces, level, stages, angle, speed, efforts, times,
+                        push, own_steady, direction, step, late, impulsive, q, v, first, last,
+                    )  # fmt: skip
                 for i in range(LANES):
-                    if not turned[i]:
+                    if impulsive or not turned[i]:
                         continue
                     for k in range(joints):
                         accelerated[k] = (v[k, i] - speed[k, i]) / step
                     rub_in_step(
                         some_ahead, speed, load, moving, resting, inverse, own_ahead, bare, spared, rubbing,
-                        own_creeps, accelerated, step, sweeps, close, end, moved, hold, i,
+                        own_creeps, accelerated, step, impulsive, sweeps, close, end, moved, hold, i,
                     )  # fmt: skip
                     for k in range(joints):
                         if not is_rubbing[k]:

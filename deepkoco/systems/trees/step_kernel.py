@@ -140,11 +140,12 @@ def accelerations(
 @njit(**UNCOUNTED)
 def runge_kutta(
     tree, own, effects, rows, masses, which, forces, level, stages, angle, speed, efforts, times, push, steady,
-    direction, step, late, end_angle, end_speed, first, last,
+    direction, step, late, impulsive, end_angle, end_speed, first, last,
 ):  # fmt: skip
     """One step of a block; ``masses[0]`` keeps the factors at its start.
 
-    Where speeds are late, each stage has the acceleration of the stage before, and the first one its own.
+    Where speeds are late, each stage has the acceleration of the stage before, and the first one its own. An impulsive
+    step is v' = v + h a, q' = q + h v': it has one stage.
     """
     joints = len(angle)
     angle, speed, end_angle, end_speed = (
@@ -160,7 +161,7 @@ def runge_kutta(
         for i in range(LANES):
             q[k, i], v1[k, i] = angle[k, i], speed[k, i]
     # One call in a loop: the compiler would repeat the equations of motion for each call.
-    for call in range(0 if late != 0.0 else 1, 5):
+    for call in range(0 if late != 0.0 else 1, 2 if impulsive else 5):
         stage = max(call - 1, 0)
         when, mass = (stage + 1) // 2, masses[min(stage, 1)]
         for k in range(joints):
@@ -181,6 +182,17 @@ def runge_kutta(
                 for i in range(LANES):
                     stages[stage + 1, k, i] = speed[k, i] + part * stages[4 + stage, k, i]
     sixth = step / 6.0
+    if impulsive:
+        for k in range(joints):
+            for i in range(LANES):
+                end_speed[k, i] = speed[k, i] + step * a1[k, i]
+            for i in range(LANES):
+                end_angle[k, i] = angle[k, i] + step * end_speed[k, i]
+            for i in range(LANES):
+                first[k, i] = a1[k, i]
+            for i in range(LANES):
+                last[k, i] = a1[k, i]
+        return
     for k in range(joints):
         # A loop for each result: in one, the compiler would have to check too many rows for overlap.
         for i in range(LANES):

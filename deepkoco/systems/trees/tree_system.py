@@ -278,7 +278,7 @@ class TreeSystem(System):
         if fast is None or not is_plain([x for force in numbers.forces for x in force.force]):
             return None
         late = 0.0 if self._steadying.engine is None else self._steadying.engine.late
-        return TreeRollout(fast, numbers.forces, late=late)
+        return TreeRollout(fast, numbers.forces, late=late, impulsive=self.own_step is not None)
 
     def rolls(self, effect: Effect) -> bool:
         if effect.place == "load":

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import resource
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +37,28 @@ def write_rows(table: Path, columns: Sequence[str], rows: Sequence[Mapping[str, 
     writer.writeheader()
     writer.writerows(rows)
     write_whole_text(table, text.getvalue())
+
+
+def go_on(
+    table: Path, columns: Sequence[str], count: int, row_of: Callable[[int], Mapping[str, Any]]
+) -> list[dict[str, Any]]:
+    """Make the rows of a study that a file lacks, one after the other; each is written and printed at once.
+
+    Args:
+        table: The CSV file. A killed study goes on where it was.
+        columns: Its columns.
+        count: Number of rows that it shall have.
+        row_of: Number -> row.
+
+    Returns:
+        All rows.
+    """
+    rows = read_rows(table)
+    for index in range(len(rows), count):
+        rows.append(dict(row_of(index)))
+        write_rows(table, columns, rows)
+        print(" ".join(f"{key}={value}" for key, value in rows[-1].items()), flush=True)
+    return rows
 
 
 def children_seconds() -> float:

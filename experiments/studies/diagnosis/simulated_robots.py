@@ -11,21 +11,19 @@ A killed study goes on where it was.
 from __future__ import annotations
 
 import argparse
-import csv
 import sys
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from deepkoco.diagnose import Diagnosis, diagnose
-from deepkoco.output.whole_file import whole_file
 from deepkoco.systems import load_system
 from deepkoco.systems.trees.mujoco_library import mujoco_library
 from experiments.plumbing.provenance import provenance
+from experiments.studies.diagnosis.rows import go_on
 
 ARM = """<mujoco model="arm"><compiler angle="radian"/><worldbody><body name="upper">
 <joint name="shoulder" axis="0 1 0" damping="{damping_shoulder}" frictionloss="{friction_shoulder}"/>
@@ -113,9 +111,9 @@ SPREAD = {"damping": 0.03, "friction": 0.03, "length": 0.0}
 OTHER = 0.01
 NOISE = {"rad": (3e-4, 1.5e-3), "m": (5e-5, 3e-4)}
 RATE, SECONDS = 100, 25.0
+ANSWER = ("verdict", "right", "named", "members", "value", "low", "high", "told", "chi2")
 COLUMNS = (
-    "robot", "hidden", "joint", "truth", "noise_rad", "noise_m", "verdict", "right", "named", "members", "value", "low",
-    "high", "told", "chi2", "seconds", "commit",
+    "robot", "hidden", "joint", "truth", "noise_rad", "noise_m", *ANSWER, "seconds", "commit",
 )  # fmt: skip
 
 
@@ -227,23 +225,35 @@ def is_right(case: Case, found: Diagnosis) -> bool:
     """Whether the only cause has what is hidden in its class; of a healthy unit, whether nothing is named."""
     if case.hidden == "nothing":
         return found.verdict == "nothing"
+    return names_only(found, wanted(case))
+
+
+def names_only(found: Diagnosis, names: set[str]) -> bool:
+    """Whether the only cause has one of these names in its class."""
     members = set(found.causes[0].members) | {found.causes[0].name} if found.causes else set()
     # A robot of one command has no place in the name of what acts on it.
-    names = wanted(case) | {name.split("(")[0] for name in wanted(case) if not name.startswith("changed")}
+    names = names | {name.split("(")[0] for name in names if not name.startswith("changed")}
     return len(found.causes) == 1 and bool(members & names)
 
 
-def row_of(case: Case, found: Diagnosis, seconds: float) -> dict[str, str | float]:
-    """Return the row of a case."""
+def answer_of(found: Diagnosis, right: bool) -> dict[str, str | float]:
+    """Return the columns `ANSWER` of a row."""
     first = next(iter(found.causes[0].parameters.values()), None) if found.causes else None
     return {
-        "robot": case.robot, "hidden": case.hidden, "joint": case.joint, "truth": f"{case.truth:.4g}",
-        "noise_rad": f"{case.noise['rad']:.2g}", "noise_m": f"{case.noise['m']:.2g}", "verdict": found.verdict,
-        "right": int(is_right(case, found)), "named": " + ".join(c.name for c in found.causes),
+        "verdict": found.verdict, "right": int(right), "named": " + ".join(c.name for c in found.causes),
         "members": " ".join(found.causes[0].members) if found.causes else "",
         "value": "" if first is None else f"{first.value:.4g}", "low": "" if first is None else f"{first.low:.4g}",
         "high": "" if first is None else f"{first.high:.4g}",
         "told": "; ".join(f"{m.name} {m.estimate.value:.4g}" for m in found.moved), "chi2": f"{found.chi2_after:.3f}",
+    }  # fmt: skip
+
+
+def row_of(case: Case, found: Diagnosis, seconds: float) -> dict[str, str | float]:
+    """Return the row of a case."""
+    return {
+        "robot": case.robot, "hidden": case.hidden, "joint": case.joint, "truth": f"{case.truth:.4g}",
+        "noise_rad": f"{case.noise['rad']:.2g}", "noise_m": f"{case.noise['m']:.2g}",
+        **answer_of(found, is_right(case, found)),
         "seconds": f"{seconds:.0f}", "commit": provenance()["commit"],
     }  # fmt: skip
 
@@ -256,23 +266,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--cases", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args(arguments)
-    table = args.out / f"cases_{args.seed}.csv"
-    rows: list[dict[str, Any]] = []
-    if table.is_file():
-        with table.open(newline="") as file:
-            rows = list(csv.DictReader(file))
-    for index in range(len(rows), args.cases):
+
+    def answered(index: int) -> dict[str, str | float]:
         case, folder = draw_case(args.seed, index), args.out / f"{args.seed}_{index}"
         folder.mkdir(parents=True, exist_ok=True)
         log, xml = write_log(case, folder)
         began = time.process_time()
         found = diagnose(log, load_system(xml))
-        rows.append(row_of(case, found, time.process_time() - began))
-        with whole_file(table) as part, part.open("w", newline="") as file:
-            writer: csv.DictWriter[str] = csv.DictWriter(file, COLUMNS)
-            writer.writeheader()
-            writer.writerows(rows)
-        print(" ".join(f"{key}={value}" for key, value in rows[-1].items()), flush=True)
+        return row_of(case, found, time.process_time() - began)
+
+    go_on(args.out / f"cases_{args.seed}.csv", COLUMNS, args.cases, answered)
     return 0
 
 

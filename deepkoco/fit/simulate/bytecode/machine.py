@@ -18,7 +18,7 @@ from deepkoco.systems.sines import FARTHEST, near_sine_and_cosine
 from deepkoco.systems.uncounted import UNCOUNTED
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "ac3f5dbefc863af3"
+COMPILED_WITH = "2e6d28699e0f1b16"
 
 OPCODES = (
     "add", "sub", "mul", "div", "neg", "abs", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh",
@@ -213,6 +213,7 @@ def bind(table, near, n, state_rows, rubbing, level_rows, inverse_rows, rows, h)
         rubbing,
         np.zeros((r, 2, count)),
         h,
+        False,
         1 if r == 1 else SWEEPS,
         CLOSE,
         speed,

@@ -103,6 +103,8 @@ class _Builder:
         )
         if plain.friction.creeps is not None and plain.friction.joints:
             raise TraceError("friction that creeps")
+        if plain.impulsive:
+            raise TraceError("steps of an engine")
         self.rubbing, self.memories = plain.friction.joints, len(plain.memory.parts)
         count, joints = len(system.commands), range(system.joints)
         zero = torch.zeros(ONE, dtype=torch.float64)

@@ -1,0 +1,86 @@
+"""What simulations of a robot, as a machine or by an engine, leave of some windows of its logs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+from deepkoco.diagnose.baseline import Baseline, baseline_from, on_half_windows
+from deepkoco.diagnose.causes.timing import STARTS
+from deepkoco.fit.data.halves import halved
+from deepkoco.fit.data.own_steps import in_steps_of
+from deepkoco.fit.data.windows import Windows
+from deepkoco.fit.fit import Fit, FitProblem, Trial
+from deepkoco.fit.solve.scaled_inverse import DivergedError
+from deepkoco.systems import System
+
+# Fall of the cost, in noise variances that the better one leaves, from which it counts. Logs without rest and with much
+# noise leave both alike.
+MARGIN = 10.0
+DELAYS = ("actuation_delay(all).delay", "actuation_delay.delay")  # of several commands, and of one
+
+
+class Left(NamedTuple):
+    """What a simulation leaves of logs.
+
+    Attributes:
+        cost: chi2 and squared distance from the prior.
+        per_sample: chi2 of one sample.
+    """
+
+    cost: float
+    per_sample: float
+
+    def less_than(self, other: Left) -> bool:
+        """Whether it leaves so much less than another that this counts."""
+        return other.cost - self.cost > MARGIN * max(self.per_sample, 1.0)
+
+
+class LeftOfLogs:
+    """Refits on halves of some windows; each begins at the values of the one before.
+
+    Args:
+        windows: The windows, cut for the robot as a machine.
+    """
+
+    def __init__(self, windows: Windows) -> None:
+        self.windows = windows
+        self._values: dict[str, float] = {}
+
+    def __call__(self, law: System) -> Left:
+        """Refit the parameters of the robot, and say what is left.
+
+        Raises:
+            DivergedError: The simulation diverges.
+        """
+        start, windows = self._start(law)
+        return self._kept(on_half_windows(start, windows, start.prior.names), start.prior.names)
+
+    def late(self, law: System) -> Left:
+        """As a call, with commands that act later than they are sent, by a time that is fitted too.
+
+        Raises:
+            DivergedError: The simulation diverges.
+        """
+        start, windows = self._start(law)
+        declared = {p.name: p for p in start.system.parameters}
+        name = next((n for n in DELAYS if n in declared), None)
+        if name is None:
+            return self(law)
+        prior, halves = start.prior.widened([declared[name]], start.values), halved(windows)
+        problem = FitProblem(start.system, halves)
+        state, _ = problem.fit_states(start.values, halves.state)
+        begins = [self._values[name]] if name in self._values else STARTS
+        trials = [Trial("late", prior.names, prior, {**start.values, name: at}, state) for at in begins]
+        fits = [fit for fit in problem.fit(trials) if not fit.diverged]
+        if not fits:
+            raise DivergedError("a simulation with late commands diverges")
+        return self._kept(min(fits, key=lambda fit: fit.cost), prior.names)
+
+    def _start(self, law: System) -> tuple[Baseline, Windows]:
+        start = baseline_from(law, self.windows)
+        return replace(start, values={**start.values, **self._values}), in_steps_of(self.windows, law)
+
+    def _kept(self, fit: Fit, names: tuple[str, ...]) -> Left:
+        self._values.update({name: fit.values[name] for name in names})
+        return Left(fit.cost, fit.chi2 / max(self.windows.samples, 1))
