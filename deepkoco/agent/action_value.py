@@ -117,9 +117,8 @@ class ActionValue:
         error.backward()
         self._optimiser.step()
         with torch.no_grad():
-            torch._foreach_lerp_(
-                list(self._behind.parameters()), list(self._networks.parameters()), config.following
-            )
+            for behind, own in zip(self._behind.parameters(), self._networks.parameters(), strict=True):
+                behind.lerp_(own, config.following)
         return float(error.detach())
 
     @torch.no_grad()
