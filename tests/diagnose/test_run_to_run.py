@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from deepkoco.diagnose import diagnose
 from deepkoco.diagnose.baseline import Healthy, baseline_from, refit_sharply
 from deepkoco.diagnose.causes import catalogue
+from deepkoco.diagnose.evidence import seen_when_healthy
 from deepkoco.diagnose.evidence.priors import prior_with
 from deepkoco.diagnose.evidence.seen_when_healthy import Hypothesis, consistent_with_healthy
 from deepkoco.diagnose.healthy import learn_baseline
@@ -127,6 +128,30 @@ def test_consistent_with_healthy_holds_for_the_effect_of_one_healthy_log_only():
     assert consistent_with_healthy(start, problem, [same]) == [True]
     problem, more = claimed(start, 0.05)
     assert consistent_with_healthy(start, problem, [more]) == [False]
+
+
+@pytest.mark.parametrize(
+    ("logs", "before"),
+    [
+        (
+            [(900.0, 0.0), (3.0, 0.0), (700.0, 0.1)],
+            False,
+        ),  # one log says nothing, and two say that it was absent
+        ([(900.0, 0.0), (3.0, 60.0)], True),  # one log shows it
+        ([(900.0, 0.0), (80.0, 60.0)], False),  # one log shows another size of it
+        ([(3.0, 0.0), (2.0, 0.0)], True),  # no log says anything
+        ([(3.0, 0.0)], True),
+    ],
+)
+def test_a_healthy_log_that_says_nothing_does_not_answer_those_that_do(logs, before, monkeypatch):
+    known = [seen_when_healthy.Told(unlike, {}, shown) for unlike, shown in logs]
+    asked = iter(known)
+    monkeypatch.setattr(seen_when_healthy, "_healthy_estimates", lambda *_: [next(asked)])
+    monkeypatch.setattr(seen_when_healthy, "_chi2_between", lambda *given: [a.unlike for a in given[-1]])
+    windows = SimpleNamespace(log=np.arange(len(logs)))
+    start = SimpleNamespace(healthy=SimpleNamespace(windows=windows, causes=()), runs=None)
+    cause = Hypothesis(catalogue(SYSTEM)["coulomb"], (), None)
+    assert consistent_with_healthy(start, None, [cause]) == [before]
 
 
 @pytest.mark.study

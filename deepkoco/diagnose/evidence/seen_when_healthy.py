@@ -31,6 +31,20 @@ PUSH_MARGIN = 4.0
 CONFIDENCE = 0.975  # of the chi2 test that the estimates from healthy logs and from the other logs differ
 
 
+class Told(NamedTuple):
+    """What some healthy windows say of a cause.
+
+    Attributes:
+        unlike: chi2 by which they fit worse with the values that the cause has on other logs.
+        values: The values that fit them best.
+        shown: chi2 by which they fit worse without the cause.
+    """
+
+    unlike: float
+    values: Mapping[str, float]
+    shown: float
+
+
 class Hypothesis(NamedTuple):
     """A selected cause, the other selected causes, and the fit of all."""
 
@@ -45,7 +59,8 @@ def consistent_with_healthy(
     """Return for each cause whether its estimate from the healthy logs is consistent with that from other logs.
 
     A cause that the unit also shows when healthy is not what went wrong. A cause about which the healthy logs say
-    nothing may have been present before.
+    nothing may have been present before. Units vary from run to run, so one of them is enough, if it shows the cause: a
+    log that says nothing does not answer those that say that it was absent.
 
     Args:
         start: Baseline learned from healthy logs; without healthy logs the result is False for all causes.
@@ -58,19 +73,16 @@ def consistent_with_healthy(
     known = {c.name for c in healthy.causes}
     told = np.unique(healthy.windows.log) if start.runs is None else sorted(start.runs.log_information)
     logs = [healthy.windows.log == k for k in told]
-    # The cause may have been present in one healthy log, because units vary from run to run, or in all of them.
-    apart = [
-        _chi2_between(start, problem, hypotheses, _healthy_estimates(start, healthy, own, hypotheses))
-        for own in logs
-    ]
+    limits = np.array([float(scipy.stats.chi2.ppf(CONFIDENCE, len(c.cause.free))) for c in hypotheses])
+    alike, shown = np.full((2, len(logs), len(hypotheses)), False)
+    for k, own in enumerate(logs):
+        answers = _healthy_estimates(start, healthy, own, hypotheses)
+        alike[k] = np.array(_chi2_between(start, problem, hypotheses, answers)) <= limits
+        shown[k] = np.array([answer.shown for answer in answers]) > limits
+    before = alike.all(0) | (alike & shown).any(0)
     if start.runs is not None:
-        apart.append(_chi2_together(start, problem, healthy, hypotheses))
-    least = np.min(apart, axis=0)
-    limits = [float(scipy.stats.chi2.ppf(CONFIDENCE, len(c.cause.free))) for c in hypotheses]
-    return [
-        hypothesis.cause.name not in known and chi2 <= limit
-        for hypothesis, chi2, limit in zip(hypotheses, least, limits, strict=True)
-    ]
+        before |= np.array(_chi2_together(start, problem, healthy, hypotheses)) <= limits
+    return [h.cause.name not in known and bool(was) for h, was in zip(hypotheses, before, strict=True)]
 
 
 def hypotheses_of(found: Selected) -> list[Hypothesis]:
@@ -129,8 +141,8 @@ def _strongest(score: np.ndarray, width: int) -> float:
 
 def _healthy_estimates(
     start: Baseline, healthy: Healthy, own: np.ndarray, hypotheses: Sequence[Hypothesis]
-) -> list[tuple[float, dict[str, float]]]:
-    """For each hypothesis, chi2 by which its values fit some healthy windows worse, and the best values there."""
+) -> list[Told]:
+    """Return what some healthy windows say of each hypothesis."""
     before, learned, windows, deflation = _healthy_prior(start, healthy, own)
     problem = FitProblem(start.system, windows)
     state = healthy.fit.state[torch.from_numpy(np.flatnonzero(own))]
@@ -149,13 +161,15 @@ def _healthy_estimates(
             trials.append(replace(trial, state=state, nuisance=nuisance))
         # A healthy log is far from a large cause, and a fit that starts with it can stay there.
         trials.append(replace(trials[-1], values=base))
-    fits = problem.fit(trials, PATIENCE, CLOSE)
+    plain = replace(freed(problem, before, learned, healthy.fit, base), state=state, nuisance=nuisance)
+    *fits, without = problem.fit([*trials, plain], PATIENCE, CLOSE)
     answers = []
     for hypothesis, bound, *both in zip(hypotheses, fits[::3], fits[1::3], fits[2::3], strict=True):
         free = min(both, key=lambda f: f.cost)
+        values = {n: free.values[n] for n in hypothesis.cause.free}
         # If the simulation of the cause diverges on a healthy log, this log says nothing about the cause.
-        chi2 = 0.0 if free.diverged else max(bound.cost - free.cost, 0.0) / deflation
-        answers.append((chi2, {n: free.values[n] for n in hypothesis.cause.free}))
+        more = [0.0 if free.diverged else max(f.cost - free.cost, 0.0) / deflation for f in (bound, without)]
+        answers.append(Told(more[0], values, more[1]))
     return answers
 
 
@@ -237,7 +251,7 @@ def _chi2_between(
     start: Baseline,
     problem: FitProblem,
     hypotheses: Sequence[Hypothesis],
-    answers: Sequence[tuple[float, Mapping[str, float]]],
+    answers: Sequence[Told],
 ) -> list[float]:
     """Return for every hypothesis the chi2 between its two estimates: from these windows and from a healthy log.
 
@@ -245,19 +259,20 @@ def _chi2_between(
         start: The baseline.
         problem: Windows on which the causes were selected.
         hypotheses: The causes.
-        answers: For each, chi2 by which its values fit a healthy log worse, and the best values for that log.
+        answers: What the healthy log says of each.
     """
     trials = []
-    for (cause, beside, fit), (_, values) in zip(hypotheses, answers, strict=True):
-        at = {**fit.values, **values}
+    for (cause, beside, fit), answer in zip(hypotheses, answers, strict=True):
+        at = {**fit.values, **answer.values}
         names = tuple(n for n in fit.free if n not in cause.free)
         prior = prior_with(problem, start, beside, at)
         prior = prior.widened(declared(problem, [n for n in names if n not in prior.names]), at)
         trials.append(Trial(cause.name, names, prior, at, fit.state, fit.nuisance))
     result = []
-    for hypothesis, back, (unlike, _) in zip(
+    for hypothesis, back, answer in zip(
         hypotheses, problem.fit(trials, PATIENCE, CLOSE), answers, strict=True
     ):
+        unlike = answer.unlike
         more = (
             max(back.cost - hypothesis.fit.cost, 0.0) / dispersion(hypothesis.fit, problem.windows).deflation
         )
