@@ -191,6 +191,10 @@ class WrappedSystem(System):
     def engine_step(self) -> float | None:
         return self.base.engine_step
 
+    @property
+    def own_step(self) -> float | None:
+        return self.base.own_step
+
     def with_engine(self, name: str | None = MUJOCO, step: float | None = None) -> Self | None:
         base = self.base.with_engine(name, step)
         if base is None:

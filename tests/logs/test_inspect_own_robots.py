@@ -365,7 +365,10 @@ def test_a_driven_log_whose_command_has_no_telling_name_is_not_taken_for_a_free_
     log, system = driven
     assert main(["inspect", str(log), "--system", system, "--out", str(tmp_path / "log.yaml")]) == 2
     assert '"duty" may be one' in capsys.readouterr().err
-    assert not (tmp_path / "log.yaml").exists()
+    # What was found is kept, and no command takes it for the mapping of a free swing.
+    assert "CHOOSE" in (tmp_path / "log.yaml").read_text()
+    assert main(["diagnose", str(log), "--system", system, "--out", str(tmp_path / "report")]) == 2
+    assert "CHOOSE" in capsys.readouterr().err
 
 
 def test_a_sidecar_without_a_command_names_the_columns_that_are_not_used(driven):
