@@ -14,7 +14,7 @@ OPEN = "CHOOSE"
 def partial_mapping(survey: Survey, proposal: Proposal) -> dict[str, ChannelColumn]:
     """The channels that were found, and those that a mapping needs with :data:`OPEN` as column; {} if none was found.
 
-    A channel is needed if it is a command without a default, or a measurement while none has a column. A sidecar
+    A channel is needed if it is a command without a default, or if no channel of its kind has a column. A sidecar
     without them would be read as the log of another motion, or not at all.
     """
     found = mapping_of(survey, proposal)
@@ -43,6 +43,8 @@ def how_to_fill_in(survey: Survey, proposal: Proposal) -> str:
 
 
 def _needed(proposal: Proposal) -> list[Choice]:
-    measured = any(c.column is not None for c in proposal.choices if c.channel.kind == "measurement")
+    there = {c.channel.kind for c in proposal.choices if c.column is not None}
     empty = [c for c in proposal.choices if c.column is None]
-    return [c for c in empty if (c.channel.default is None if c.channel.kind == "command" else not measured)]
+    # A command with a default may be left out beside others; without any, a driven log would be that of a free motion.
+    optional = [c for c in empty if c.channel.kind != "command" or c.channel.default is not None]
+    return [c for c in empty if c not in optional or c.channel.kind not in there]
