@@ -79,7 +79,7 @@ def consistent_with_healthy(
         answers = _healthy_estimates(start, healthy, own, hypotheses)
         alike[k] = np.array(_chi2_between(start, problem, hypotheses, answers)) <= limits
         shown[k] = np.array([answer.shown for answer in answers]) > limits
-    before = alike.all(0) | (alike & shown).any(0)
+    before = np.array(alike.all(0) | (alike & shown).any(0))
     if start.runs is not None:
         before |= np.array(_chi2_together(start, problem, healthy, hypotheses)) <= limits
     return [h.cause.name not in known and bool(was) for h, was in zip(hypotheses, before, strict=True)]
