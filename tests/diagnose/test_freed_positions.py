@@ -2,6 +2,7 @@
 """The charge for initial positions that only a cause makes count."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -85,7 +86,7 @@ def spun(seed=0, seconds=12.0):
     )
 
 
-def states_of(system):
+def states_of(system, charged=0):
     log = spun()
     names = {c.name for c in (*system.commands, *system.measurements)}
     log = Recording({n: s for n, s in log.channels.items() if n in names}, None, None, {})
@@ -93,7 +94,7 @@ def states_of(system):
     start = baseline_from(system, windows)
     problem, every = FitProblem(start.system, windows), catalogue(system)
     reference = problem.fit_one(Trial("refit", start.prior.names, start.prior, start.values, windows.state))
-    causes = [every[name] for name in NAMES if name in every]
+    causes = [replace(every[name], states=charged) for name in NAMES if name in every]
     return windows, {c.name: c for c in with_freed_positions(problem, reference, causes)}
 
 
@@ -113,3 +114,9 @@ def test_no_position_is_freed_where_the_system_or_the_log_tells_it():
     for system in (Eccentric(), Encoded()):
         _, causes = states_of(system)
         assert {cause.states for cause in causes.values()} == {0}
+
+
+def test_a_charge_that_a_cause_has_already_is_kept():
+    windows, causes = states_of(Spindle(), 1000)
+    assert len(windows) < 1000
+    assert {cause.states for cause in causes.values()} == {1000}

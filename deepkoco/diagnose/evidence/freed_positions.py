@@ -46,7 +46,8 @@ def with_freed_positions(problem: FitProblem, reference: Fit, causes: Sequence[C
             for p in known
         }
         count = sum(n for j, n in free.items() if depends_on_position(system, {**values, **size}, j))
-        found.append(replace(cause, states=count))
+        # An elastic drive is charged for more states of each window already.
+        found.append(replace(cause, states=max(cause.states, count)))
     return found
 
 
