@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import torch
+from torch import Tensor
 
 from deepkoco.koopman.model.model import KoopmanModel
 
@@ -48,11 +49,11 @@ class InputShrinkage:
             self._weights.mul_(START)
 
     @torch.no_grad()
-    def step(self, step_size: float) -> None:
+    def step(self, step_size: float | Tensor) -> None:
         """Shrink after a step of the optimiser.
 
         Args:
-            step_size: eta of that step.
+            step_size: eta of that step; where steps are captured, a tensor on the device.
         """
         if not self._strength:
             return

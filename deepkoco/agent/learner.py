@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
+from dataclasses import fields
 from typing import Any
 
 import torch
+from torch import Tensor
 from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from deepkoco.agent.action_value import ActionValue
+from deepkoco.agent.captured_step import CapturedStep
 from deepkoco.agent.config import TrainingConfig, TrainingConfigError
 from deepkoco.agent.input_shrinkage import InputShrinkage
 from deepkoco.koopman.exported import Array
-from deepkoco.koopman.losses import ChunkBatch, Losses, chunk_losses
+from deepkoco.koopman.losses import ChunkBatch, Losses, OtherActions, chunk_losses
 from deepkoco.koopman.model.model import KoopmanModel
 from deepkoco.koopman.model.rollout import ROLLOUTS
 
@@ -64,6 +67,13 @@ class Learner:
             weight_decay=2.0 * config.weight_penalty,
             fused=True,
         )
+        on_gpu = torch.device(config.device).type == "cuda"
+        self._captured = CapturedStep(self._step, config.device) if on_gpu else None
+        # A captured step reads the learning rates from where they lay when it was captured.
+        self._rates = [
+            torch.tensor(float(group["lr"]), device=config.device) for group in self._optimiser.param_groups
+        ]
+        self._place_rates()
         self._value: ActionValue | None = None
         if config.value.discount:
             if limits is None or self.model.frame_encoder is not None:
@@ -89,29 +99,48 @@ class Learner:
         if self._value is not None:
             self._value.update(batch)
             batch, others = self._value.labelled(batch)
-        batch = batch.to(config.device)
-        others = None if others is None else others.to(config.device)
+        parts = [batch.observations, batch.actions, batch.costs, batch.window_weights]
+        if others is not None:
+            parts += [others.actions, others.costs]
+        key = horizon or config.horizon, None if others is None else others.weight
+        rates = [config.learning_rate * step_size, config.eigenvalue_learning_rate * step_size]
+        if self._captured is None:
+            for group, rate in zip(self._optimiser.param_groups, rates, strict=True):
+                group["lr"] = rate
+            values = self._step(parts, key)
+        else:
+            for place, rate in zip(self._rates, rates, strict=True):
+                place.fill_(rate)
+            values = self._captured(parts, key)
+        return Losses(*values.unbind())
+
+    def _step(self, parts: Sequence[Tensor], key: tuple[int, float | None]) -> Tensor:
+        """Step on a batch and what is known of other actions; returns the entries of `Losses` (6,)."""
+        config, (horizon, weight) = self._config, key
         losses = chunk_losses(
             self.model,
-            batch,
-            horizon or config.horizon,
+            ChunkBatch(*parts[:4]),
+            horizon,
             config.cost_weight,
             ROLLOUTS[config.rollout],
             config.relative_cost,
-            others,
+            None if weight is None else OtherActions(*parts[4:], weight),
         )
         self._optimiser.zero_grad()
         losses.total.backward()
         if config.largest_gradient:
             torch.nn.utils.clip_grad_norm_(self._followed, config.largest_gradient)
-        for group, rate in zip(
-            self._optimiser.param_groups, (config.learning_rate, config.eigenvalue_learning_rate), strict=True
-        ):
-            group["lr"] = rate * step_size
         self._optimiser.step()
-        self._shrinkage.step(config.learning_rate * step_size)
+        self._shrinkage.step(self._optimiser.param_groups[0]["lr"])
         self._average(self._own, self._followed, 0)  # the count is for averages with equal weights
-        return losses
+        return torch.stack([getattr(losses, field.name) for field in fields(Losses)]).detach()
+
+    def _place_rates(self) -> None:
+        """Have the optimiser read its rates from the device where steps are captured there."""
+        for group, rate in zip(self._optimiser.param_groups, self._rates, strict=True):
+            group["capturable"] = self._captured is not None
+            if self._captured is not None:
+                group["lr"] = rate
 
     def state_dict(self) -> dict[str, Any]:
         """Weights, averaged weights and optimiser."""
@@ -129,5 +158,8 @@ class Learner:
         self.model.load_state_dict(state["model"])
         self.averaged.load_state_dict(state["average"])
         self._optimiser.load_state_dict(state["optimiser"])
+        self._place_rates()
+        if self._captured is not None:
+            self._captured.forget()
         if self._value is not None:
             self._value.load_state_dict(state["value"])

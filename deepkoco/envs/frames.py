@@ -15,6 +15,8 @@ from deepkoco.systems import System, drawing
 
 Painter = Callable[[np.ndarray, np.ndarray], None]
 """Draws an observation (N,) onto a canvas, uint8 (size, size, 3), in place."""
+Place = tuple[slice, slice]
+"""A square of a frame: its rows and columns."""
 
 
 class PixelError(ValueError):
@@ -22,7 +24,13 @@ class PixelError(ValueError):
 
 
 class Layer(Protocol):
-    """Something besides the task that is in the frames, uint8 (B, size, size, 3), all changed in place."""
+    """Something besides the task that is in the frames, uint8 (B, size, size, 3), all changed in place.
+
+    Attributes:
+        task_place: Where in a frame this layer has the task drawn; None: it leaves the task where it is.
+    """
+
+    task_place: Place | None
 
     def seed(self, seed: int | Sequence[int]) -> None:
         """Start the generator anew."""
@@ -111,6 +119,10 @@ class FrameMaker:
     def __init__(self, source: FrameSource, layers: Sequence[Layer], count: int, size: int) -> None:
         self._source, self._layers, self._count = source, tuple(layers), count
         self._blank = drawing.canvas(size)
+        rows, columns = next(
+            (p for layer in layers if (p := layer.task_place) is not None), (slice(None),) * 2
+        )
+        self._task = slice(None), rows, columns
         self._seeded = False
 
     def reset(self, seed: Seeds, where: np.ndarray | None = None) -> None:
@@ -140,7 +152,7 @@ class FrameMaker:
         frames[:] = self._blank
         for layer in self._layers:
             layer.paint_below(frames)
-        self._source.paint(observations, frames)
+        self._source.paint(observations, frames[self._task])
         for layer in self._layers:
             layer.paint_over(frames)
         return frames

@@ -32,18 +32,6 @@ class ChunkBatch:
     costs: Tensor
     window_weights: Tensor
 
-    def to(self, device: str) -> ChunkBatch:
-        """The batch on a device.
-
-        Args:
-            device: As torch names it.
-
-        Returns:
-            This batch where it is there already.
-        """
-        parts = (self.observations, self.actions, self.costs, self.window_weights)
-        return ChunkBatch(*(part.to(device) for part in parts))
-
 
 @dataclass
 class OtherActions:
@@ -58,10 +46,6 @@ class OtherActions:
     actions: Tensor
     costs: Tensor
     weight: float
-
-    def to(self, device: str) -> OtherActions:
-        """The same on a device; see `ChunkBatch.to`."""
-        return OtherActions(self.actions.to(device), self.costs.to(device), self.weight)
 
 
 @dataclass

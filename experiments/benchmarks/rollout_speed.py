@@ -1,9 +1,10 @@
 """Speed of rollouts on the delay graph, by executor and batch; with --peer against REX on the same work.
 
-The work is that of `rollout_work.py`. With --peer both run in turn in one go, so that what else the machine
-does hits both; medians and the spread between quartiles are printed, per second of the clock and per
-second of processor time, which tells more where other things run. The executor "cuda" needs a CUDA device, whose
-name is printed and written; processor time says nothing about it. To reach: 3 M agent steps/s at B = 4096.
+The work is that of `rollout_work.py`. With --peer both run in turn in one go, so that what else the machine does hits
+both; with --peer-platform cuda, REX runs on the GPU. Medians and the spread between quartiles are printed, per second
+of the clock and per second of processor time, which tells more where other things run. The executor "cuda" needs a
+CUDA device, whose name is printed and written; processor time says nothing about it. To reach: 3 M agent steps/s at
+B = 4096.
 """
 
 import argparse
@@ -99,22 +100,27 @@ class OurWork:
 
 
 class PeerWork:
-    """The same in a process of the peer's Python."""
+    """The same in a process of the peer's Python.
 
-    def __init__(self) -> None:
-        if not PEER.exists():
-            raise SystemExit(f"{PEER} is not there; scripts/peers.sh installs the peers")
+    Args:
+        python: its interpreter.
+        platform: of JAX there, "cpu" or "cuda".
+    """
+
+    def __init__(self, python: Path = PEER, platform: str = "cpu") -> None:
+        if not python.exists():
+            raise SystemExit(f"{python} is not there; scripts/peers.sh installs the peers")
         with tempfile.NamedTemporaryFile("w", suffix=".json", delete=False) as file:
             json.dump(description(), file)
         environment = {k: v for k, v in os.environ.items() if k != "OMP_NUM_THREADS"}
         begin = time.perf_counter()
         self._process = subprocess.Popen(
-            [str(PEER), str(PEER_SCRIPT), file.name],
+            [str(python), str(PEER_SCRIPT), file.name],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             text=True,
-            env=environment | {"JAX_PLATFORMS": "cpu"},
+            env=environment | {"JAX_PLATFORMS": platform},
         )
         self._answer()
         self.import_seconds = time.perf_counter() - begin
@@ -257,6 +263,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--threads", type=int, default=1, help="of the fused executor")
     parser.add_argument("--repeats", type=int, default=7)
     parser.add_argument("--peer", action="store_true", help="REX too, in turn with ours")
+    parser.add_argument("--peer-python", type=Path, default=PEER, help="interpreter that has REX")
+    parser.add_argument("--peer-platform", default="cpu", choices=("cpu", "cuda"), help="where REX runs")
     parser.add_argument("--start-up", action="store_true", help="time from the start to the first step")
     parser.add_argument("--population", action="store_true", help=f"{POPULATION} x {POPULATION_STEPS} steps")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
@@ -271,7 +279,7 @@ def main(arguments: list[str] | None = None) -> int:
             parser.error(str(error))
     torch.set_num_threads(1)
     workers: dict[str, Any] = {name: OurWork(name, given.threads) for name in given.executors}
-    peer = PeerWork() if given.peer else None
+    peer = PeerWork(given.peer_python, given.peer_platform) if given.peer else None
     if peer is not None:
         workers["rex"] = peer
     rows = []
@@ -287,7 +295,10 @@ def main(arguments: list[str] | None = None) -> int:
     if "cuda" in workers:
         result["device"] = torch.cuda.get_device_name()
         for row in rows:
-            row |= {"device": result["device"]} if row["executor"] == "cuda" else {}
+            on_device = row["executor"] == "cuda" or (
+                row["executor"] == "rex" and given.peer_platform == "cuda"
+            )
+            row |= {"device": result["device"]} if on_device else {}
     if "fused" in workers:
         every, own = workers["fused"].memory(1024)
         result["bytes_per_environment"] = {"fused": every, "own_state": own}

@@ -14,6 +14,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +40,12 @@ CASES = {
     "pendulum, images (P = 10, M = 1)": ("task=pendulum", "observation=images"),
 }
 EPISODES = 20
+LABELS = {
+    "sample": "draw a batch",
+    "chunked": "update, chunked",
+    "plain": "update, plain",
+    "gpu": "the same on GPU",
+}
 
 
 def read_settings(*overrides: str) -> TrainRunConfig:
@@ -77,13 +84,19 @@ def separate_windows(batch: ChunkBatch, horizon: int, history: int = 1) -> Chunk
     return ChunkBatch(observations, cut(batch.actions, horizon + 1), cut(batch.costs, horizon + 1), weights)
 
 
-def in_turns(calls: dict[str, Callable[[], object]], seconds: float, least: int = 5) -> dict[str, np.ndarray]:
+def in_turns(
+    calls: dict[str, Callable[[], object]],
+    seconds: float,
+    least: int = 5,
+    clock: Callable[[], int] = time.process_time_ns,
+) -> dict[str, np.ndarray]:
     """Time calls one after the other, again and again.
 
     Args:
         calls: Name to what is timed.
         seconds: For about how long.
         least: Rounds that are made however long they take.
+        clock: Reads the time [ns].
 
     Returns:
         Name to the times without those of a warm-up of three rounds [ms].
@@ -92,10 +105,16 @@ def in_turns(calls: dict[str, Callable[[], object]], seconds: float, least: int 
     end = time.perf_counter() + seconds
     while time.perf_counter() < end or len(next(iter(times.values()))) < least + 3:
         for name, call in calls.items():
-            start = time.process_time_ns()
+            start = clock()
             call()
-            times[name].append((time.process_time_ns() - start) / 1e6)
+            times[name].append((clock() - start) / 1e6)
     return {name: np.array(values[3:]) for name, values in times.items()}
+
+
+def clock_of_both() -> int:
+    """Time of the clock once the GPU has done what it was given [ns]: processor time says nothing about it."""
+    torch.cuda.synchronize()
+    return time.perf_counter_ns()
 
 
 def spread(times: np.ndarray) -> dict[str, float]:
@@ -133,12 +152,13 @@ def updates_of_a_run(config: TrainRunConfig, episode_steps: int) -> int:
     return updates
 
 
-def benchmark(config: TrainRunConfig, seconds: float) -> dict:
+def benchmark(config: TrainRunConfig, seconds: float, gpu: bool = False) -> dict:
     """Measure one task.
 
     Args:
         config: Settings of its training.
         seconds: For about how long updates are timed.
+        gpu: Whether updates are timed on a GPU too; all times are then of the clock.
 
     Returns:
         Times of an update's parts, of an environment step and a decision, and the predicted time of a seed.
@@ -175,7 +195,12 @@ def benchmark(config: TrainRunConfig, seconds: float) -> dict:
         "chunked": lambda: learner.update(batch),
         "plain": lambda: learner.update(separate),
     }
-    times = in_turns(calls, seconds)
+    clock = time.process_time_ns
+    if gpu:
+        clock = clock_of_both
+        on_gpu = Learner(observation, low.size, replace(agent, device="cuda"))
+        calls["gpu"] = lambda: on_gpu.update(batch)
+    times = in_turns(calls, seconds, clock=clock)
     length = int(np.mean([episode.costs.numel() for episode in episodes]))
     updates = updates_of_a_run(config, length)
     iterations = -(-(agent.total_episodes - agent.first_episodes) // agent.iteration_episodes)
@@ -188,6 +213,7 @@ def benchmark(config: TrainRunConfig, seconds: float) -> dict:
         "planning": planned * length * max(0.0, walks["planned"] - walks["noise alone"]) / 1e3,
     }
     return {
+        "clock": "wall, after the GPU" if gpu else "processor",
         "update_ms": {name: spread(values) for name, values in times.items()},
         "plain_over_chunked": float(np.median(times["plain"] / times["chunked"])),
         "environment_step_ms": walks["noise alone"],
@@ -220,6 +246,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--seconds", type=float, default=10.0, help="for about how long updates are timed, per case"
     )
+    parser.add_argument("--gpu", action="store_true", help="time updates on a CUDA device too, by the clock")
     parser.add_argument("--only", choices=("states", "images"), help="leave out the other observations")
     parser.add_argument(
         "--seed-run", action="store_true", help="also train a seed of the first case to its end"
@@ -227,12 +254,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     args = parser.parse_args(arguments)
     if not args.seconds > 0:
         parser.error(f"--seconds {args.seconds}: give a value above 0")
+    if args.gpu and not torch.cuda.is_available():
+        parser.error(f"--gpu: torch {torch.__version__} finds no CUDA device")
     torch.set_num_threads(1)
     results = {}
     for name, overrides in CASES.items():
         if args.only is None or args.only in name:
             config = read_settings(*overrides)
-            results[name] = benchmark(config, args.seconds)
+            results[name] = benchmark(config, args.seconds, args.gpu)
             if args.seed_run and len(results) == 1:
                 results[name]["seed_run_seconds"] = train_one_seed(config)
     if args.json:
@@ -242,7 +271,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for name, result in results.items():
         print(name)
         for call, row in result["update_ms"].items():
-            label = {"sample": "draw a batch", "chunked": "update, chunked", "plain": "update, plain"}[call]
+            label = LABELS[call]
             print(f"  {label:<18} {row['median']:8.2f} ms   ({row['p10']:.2f} to {row['p90']:.2f})")
         print(f"  plain takes {result['plain_over_chunked']:.1f} x as long as chunked")
         print(f"  environment step   {result['environment_step_ms']:8.3f} ms")

@@ -10,6 +10,7 @@ import gymnasium
 import numpy as np
 
 SPLITS = ("train", "evaluation")
+BELOW, AROUND = LAYOUTS = ("below", "around")
 ITSELF = "itself"
 """Copies of the environment of the task itself, whichever it is."""
 Copied = str | Callable[[], gymnasium.Env]
@@ -34,6 +35,12 @@ class DistractorOptions:
     drive: str = "ou"
     """copies: their commands, "ou" (Ornstein-Uhlenbeck), "random" (uniform, anew at every step), or "action": that of
     the agent, from other start states; the thesis does not say how its distractors are driven."""
+    layout: str = BELOW
+    """copies in frames: "below" the task, which keeps its size and covers them, or "around" it: all of one size, the
+    task in the middle, as in the thesis."""
+    occlusion: float = 0.0
+    """copies in frames, around: how much wider than its place in the grid each system is drawn, 0 to 1; the copies
+    then cover parts of the task."""
     episodes: int = 500
     """copies of an environment that is not ours: episodes that are recorded in each split, and then played again."""
     channels: int = 12
@@ -57,6 +64,18 @@ class DistractorOptions:
         for name, value in named.items():
             if not 0.0 <= value <= 1.0:
                 raise DistractorError(f"distractor_options.{name} = {value}; give a number from 0 to 1")
+        if self.layout not in LAYOUTS:
+            choices = ", ".join(LAYOUTS)
+            raise DistractorError(f'distractor_options.layout = "{self.layout}"; choose one of {choices}')
+        if not 0.0 <= self.occlusion <= 1.0:
+            raise DistractorError(
+                f"distractor_options.occlusion = {self.occlusion}; give a number from 0 to 1"
+            )
+        if self.occlusion and self.layout != AROUND:
+            raise DistractorError(
+                f'distractor_options.occlusion = {self.occlusion} needs distractor_options.layout = "{AROUND}": '
+                "copies below the task cover nothing of it"
+            )
         for name in ("copies", "episodes", "channels", "patterns", "video_frames"):
             if getattr(self, name) < 1:
                 raise DistractorError(f"distractor_options.{name} = {getattr(self, name)}; give 1 or more")

@@ -7,13 +7,19 @@ from collections.abc import Sequence
 import numpy as np
 
 from deepkoco.envs.distractors.options import Setup
+from deepkoco.envs.frames import Place
 
 
 class PixelLayer:
     """A layer of the frames that paints nothing; see `deepkoco.envs.frames.Layer` for when what is called.
 
     Painting changes no state: what a layer shows is drawn in `restart` and `advance` alone.
+
+    Attributes:
+        task_place: Where in a frame this layer has the task drawn; None: it leaves the task where it is.
     """
+
+    task_place: Place | None = None
 
     def __init__(self, setup: Setup) -> None:
         self._setup = setup

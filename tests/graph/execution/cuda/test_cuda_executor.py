@@ -37,7 +37,7 @@ def test_random_graphs_run_bitwise_as_in_the_eager_executor(graph, batch, seed):
 
 
 @needs_cuda
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(graph=st.booleans().flatmap(graphs), seed=st.integers(0, 99))
 def test_random_graphs_run_captured_as_in_the_eager_executor(graph, seed):
     compare_on_random_graph(graph, 7, 4, seed, "cuda")
