@@ -43,14 +43,16 @@ class EpisodeBuffer:
         discount: gamma of episodes that are added from now on.
     """
 
-    def __init__(self, history: int = 1, discount: float = 0.0) -> None:
+    def __init__(self, history: int = 1, discount: float = 0.0, frames_on: str = "cpu") -> None:
         """Start empty.
 
         Args:
             history: d, recordings that an observation is made of: 1 for states, more for frames.
             discount: gamma; the learned costs are those to come, see `discounted_mean`.
+            frames_on: Device that frames are kept on; a batch of them is 4 MB, which would cross to a GPU at every
+                step.
         """
-        self._history, self.discount = history, discount
+        self._history, self.discount, self._frames_on = history, discount, frames_on
         self._episodes: list[Episode] = []
         self._lengths = torch.empty(0, dtype=torch.int64)
 
@@ -76,7 +78,7 @@ class EpisodeBuffer:
         """
         for e in episodes:
             frames = e.observations.dtype == torch.uint8
-            observations = e.observations if frames else e.observations.float()
+            observations = e.observations.to(self._frames_on) if frames else e.observations.float()
             costs = discounted_mean(e.costs, self.discount)
             self._episodes.append(Episode(observations, e.actions.float(), costs))
         self._lengths = torch.cat([self._lengths, torch.tensor([e.costs.numel() for e in episodes])])
@@ -150,6 +152,7 @@ class EpisodeBuffer:
         seen = start[:, None] + torch.arange(1 - self._history, chunk_length)  # (G, L + d - 1)
         step, seen = step.clamp(min=0).minimum(last), seen.clamp(min=0).minimum(last)
         chosen = [self._episodes[i] for i in episode.tolist()]
+        seen = seen.to(chosen[0].observations.device)
         # Eight times as fast for frames as indexing with a tensor.
         return ChunkBatch(
             torch.stack([e.observations.index_select(0, i) for e, i in zip(chosen, seen, strict=True)]),

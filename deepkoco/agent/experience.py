@@ -44,7 +44,7 @@ class Experience:
         self._folder, self._config, self._limits = folder, config, (low, high)
         self.learning = config
         # With units of the task, the costs to come are in these, and an end counts.
-        self.buffer = EpisodeBuffer(recordings, 0.0 if config.scale else config.cost_discount)
+        self.buffer = EpisodeBuffer(recordings, 0.0 if config.scale else config.cost_discount, config.device)
         self.scale: TaskScale | None = None
         self.steps = 0
         self.noise_floor, self.alone = 1.0, 0
