@@ -4,8 +4,8 @@ A CUDA graph rather than a compiler: it is captured in well under a second, runs
 eager executor runs, so that the results on one device are the same, and takes every operation of torch. What it
 saves is the launch of each kernel from Python.
 
-The capture itself has not been run yet, for want of a device: everything but `capture.py` is tested on the CPU,
-where the same function runs operation by operation on the same fixed tensors.
+All but `capture.py` is also tested on the CPU, where the same function runs operation by operation on the same fixed
+tensors.
 """
 
 from collections.abc import Mapping
