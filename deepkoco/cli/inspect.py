@@ -98,7 +98,10 @@ def run(args: argparse.Namespace) -> int:
     fitting, refusal, part = _fitting(found, others, args.system) if propose else (None, None, None)
     proposal = None if fitting is None else fitting.proposal
     recording, problem = _read(args, found) if mapped else (None, None)
-    if args.out is not None and fitting is not None:
+    if args.out is not None and fitting is not None and fitting.idle:
+        refusal = f"{args.log}: no column fits {', '.join(fitting.idle)}; "
+        refusal += _write_part(args.out, found, fitting.proposal)
+    elif args.out is not None and fitting is not None:
         _write_mapping(args.out, found, fitting, args.system)
     elif args.out is not None and part is not None:
         refusal = f"{refusal}; {_write_part(args.out, found, part)}"

@@ -2,23 +2,62 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from deepkoco.diagnose.causes.cause import Cause, Hint
+from deepkoco.systems.effects.disturbance import PITCHES
+
+if TYPE_CHECKING:
+    from deepkoco.diagnose.residuals.residuals import MissingTorque
 
 CYCLES = tuple(range(2, 31))  # per turn
 MIN_CYCLES = 2.0  # cycles that a log must show
+MOST_SHOWN = 60.0  # cycles on the way of a slide that are tried
 LOWEST = 0.8  # frequency from which an outside load is searched [rad/s]
+NEARLY = 0.9  # share of what the best pitch explains from which another one is tried
 LINES = 5  # lines of the spectrum that are tried
 
 
 def _cycles(hint: Hint) -> list[dict[str, float]]:
-    """Return the cycles per turn that the log shows twice; a pattern seen once may be a spring, a cable or a stop."""
+    """Return the cycles per turn that the log shows twice; a pattern seen once may be a spring, a cable or a stop.
+
+    Poles of a linear motor or threads of a screw have any pitch. Those that are tried for a slide are half a cycle on
+    its way apart.
+    """
     missing = hint.missing
     turned = np.inf
     if missing is not None:
         turned = max(float(np.ptp(missing.theta[missing.log == log])) for log in np.unique(missing.log))
+    if hint.system.state_units[hint.joint] == "m":
+        return _pitches(missing, turned) if missing is not None and turned > 0.0 else []
     return [{"cycles": float(n)} for n in CYCLES if MIN_CYCLES * 2.0 * np.pi / n <= turned]
+
+
+def _pitches(missing: MissingTorque, way: float) -> list[dict[str, float]]:
+    """Return the pitches that explain nearly as much of the residuals as the best one, each with its size and phase."""
+    counts = np.arange(MIN_CYCLES, MOST_SHOWN, 0.5)
+    counts = counts[(way / counts >= PITCHES[0]) & (way / counts <= PITCHES[1])]
+    if missing.waves is None or len(counts) == 0:
+        return []
+    falls, _ = missing.waves.explained(2.0 * np.pi * counts / way)
+    coarse: list[int] = []
+    for k in np.argsort(-falls):
+        if all(abs(counts[k] - counts[other]) > 1.0 for other in coarse):
+            coarse.append(int(k))
+        if len(coarse) == LINES:
+            break
+    # A fit finds a pitch only from within a fraction of a cycle on the whole way.
+    near = np.linspace(-0.45, 0.45, 10)
+    counts = np.concatenate([counts[k] + near for k in coarse])
+    falls, sizes = missing.waves.explained(2.0 * np.pi * counts / way)
+    best = falls.reshape(-1, len(near)).argmax(1)
+    found = [k for k in len(near) * np.arange(len(best)) + best if falls[k] >= NEARLY * falls.max()]
+    return [
+        {"pitch": float(way / counts[k]), "sine": float(sizes[k, 0]), "cosine": float(sizes[k, 1])}
+        for k in found
+    ]
 
 
 def _frequencies(hint: Hint) -> list[dict[str, float]]:
@@ -82,6 +121,9 @@ COGGING = Cause(
     lambda motion: np.zeros_like(motion.time),
     _cycles,
     choices=len(CYCLES),
+    shape=("pitch",),
+    also=("pitch",),
+    also_summary="A force repeats along the way: poles of a linear motor, teeth of a rack, turns of a screw.",
 )
 PERIODIC = Cause(
     "periodic",

@@ -23,6 +23,7 @@ MAX_COMMAND = 1e4  # and above which it is doubted
 SHAPES = (
     "frequency",
     "cycles",
+    "pitch",
 )  # they choose where a cause acts; at their bounds the cause is still the same
 
 

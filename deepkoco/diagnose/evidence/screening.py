@@ -19,6 +19,7 @@ from torch import Tensor
 
 from deepkoco.diagnose.causes import Cause, is_changed
 from deepkoco.diagnose.causes.parameter import widened
+from deepkoco.diagnose.residuals.residuals import waves_of
 from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.fit.simulate.push import Push
 from deepkoco.fit.solve.frozen_slopes import FrozenSlopes
@@ -70,6 +71,7 @@ def screen(
         owner += [k] * len(own)
         forward.append(len(own) == 1 and _one_way(problem, reference, cause, place))
     moved = tangent.respond(doses)
+    _along_what_is_shown(problem, reference, moved, doses, [starts[k][0] for k in owner])
     promises = tangent.promises(moved, np.array(owner, dtype=int), forward)
     points = [StartPoint(c, place, float(p)) for (c, place), p in zip(starts, promises, strict=True)]
     lasting = [d for d in range(len(doses)) if starts[owner[d]][0].effect != "event"]
@@ -97,6 +99,28 @@ def screen(
                 # Slopes of the two that differ a little promise more than there is, and no step along them is one.
                 points.append(start)
     return points
+
+
+def _along_what_is_shown(
+    problem: FitProblem,
+    reference: Fit,
+    moved: Tensor,
+    doses: Sequence[Mapping[str, float]],
+    causes: Sequence[Cause],
+) -> None:
+    """Put into ``moved`` (D, W, NM) the responses to loads that repeat along the way of a slide, along its shown way.
+
+    Where such a load is missing, the simulation is off by a part of its pitch or more, and what the load does on the
+    simulated way says nothing of what it did on the machine.
+    """
+    for joint in sorted({c.joint for c in causes if c.kind == "cogging" and c.joint is not None}):
+        own = [d for d, c in enumerate(causes) if c.kind == "cogging" and c.joint == joint]
+        own = [d for d in own if f"{causes[d].effect}.pitch" in doses[d]]
+        if own:
+            waves = waves_of(problem, reference, joint)
+            sizes = [[doses[d][f"{causes[d].effect}.{n}"] for n in ("pitch", "sine", "cosine")] for d in own]
+            null = [reference.values[f"{causes[own[0]].effect}.{n}"] for n in ("pitch", "sine", "cosine")]
+            moved[own] = waves.responses(np.array(sizes), np.array(null))
 
 
 def _only_change(reference: Fit, dose: Mapping[str, float]) -> str:
@@ -147,7 +171,7 @@ def _doses(
         if silent and name in place:
             continue
         step = parameter_step(reference.state.shape[1]) * problem.scale[j]
-        if name.endswith(".frequency"):
+        if name.endswith((".frequency", ".pitch")):
             continue  # it changes nothing while the amplitude is zero
         if name.endswith(".along") and not silent:
             continue  # nor does the place of no load; other starts are other places

@@ -12,7 +12,7 @@ from deepkoco.systems import ExtendedSystem
 # Parameters that only choose a shape, and parameters that a similar cause of the family also has.
 SHAPES = {
     "stribeck": ("coulomb", "speed"),
-    "cogging": ("cycles", "cosine"),
+    "cogging": ("cycles", "pitch", "cosine"),
     "periodic": ("frequency", "cosine"),
     "spring": ("centre",),
     "bristle": ("distance",),

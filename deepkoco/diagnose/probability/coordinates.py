@@ -30,6 +30,7 @@ SHAPES = (
     "frequency",
     "centre",
     "cycles",
+    "pitch",
     "speed",
     "ratio",
     "distance",

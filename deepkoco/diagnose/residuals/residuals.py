@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from deepkoco.diagnose.residuals.waves import Waves
 from deepkoco.fit.data.per_log_differences import effects_in
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem
@@ -111,6 +112,7 @@ class MissingTorque:
         score: (W, K) fall of chi2 if a push acts in that slot alone.
         single: (W, K) torque of that single push [N m].
         name: Name of the joint.
+        waves: What loads that repeat along the way explain; None where it is not asked.
     """
 
     joint: int
@@ -124,6 +126,7 @@ class MissingTorque:
     score: np.ndarray
     single: np.ndarray
     name: str = ""
+    waves: Waves | None = None
 
     @property
     def load(self) -> str:
@@ -209,9 +212,18 @@ def missing_torque(problem: FitProblem, fit: Fit, inflation: float = 1.0) -> tup
             (match**2 / energy.clamp_min(1e-300)).numpy()[:, mine],
             (match / energy.clamp_min(1e-300)).numpy()[:, mine],
             system.joint_names[j],
+            Waves(problem, fit, base, j, path[:, :, j], had),
         )
         result.append(found)
     return tuple(result)
+
+
+def waves_of(problem: FitProblem, fit: Fit, joint: int) -> Waves:
+    """Return what loads that repeat along the way of a joint do and explain at a fit."""
+    problem, fit = problem.as_fitted(fit)
+    theta = np.array([fit.values[n] for n in problem.names])
+    path = modelled_path(problem, fit)[:, :, joint]
+    return Waves(problem, fit, acting_system(problem, fit), joint, path, push_of(problem, theta))
 
 
 def modelled_path(problem: FitProblem, fit: Fit) -> np.ndarray:

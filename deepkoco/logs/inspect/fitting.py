@@ -43,11 +43,13 @@ class Fitting(NamedTuple):
         proposal: the proposal.
         alike: names of systems that fit equally well.
         doubt: reason why the system cannot have made the log; None if there is none.
+        idle: names of commands without a column that drive joints of which the log shows the position.
     """
 
     proposal: Proposal
     alike: tuple[str, ...]
     doubt: str | None = None
+    idle: tuple[str, ...] = ()
 
 
 def propose(survey: Survey, system: str | System | None = None, others: Sequence[Survey] = ()) -> Fitting:
@@ -94,7 +96,20 @@ def propose(survey: Survey, system: str | System | None = None, others: Sequence
     fitting.sort(key=lambda name: -_fit(proposals[name][1]))
     best = proposals[fitting[0]][1]
     alike = tuple(name for name in fitting[1:] if _fit(best) - _fit(proposals[name][1]) < ALIKE)
-    return Fitting(best, alike, doubts[fitting[0]])
+    return Fitting(best, alike, doubts[fitting[0]], _idle_drives(*proposals[fitting[0]]))
+
+
+def _idle_drives(system: System, proposal: Proposal) -> tuple[str, ...]:
+    """Commands without a column, although the log shows the position of the joint that they drive.
+
+    Where the log lacks the joint, too, the joint can be held.
+    """
+    if not has_named_joints(system):
+        return ()
+    shown = {c.channel.name for c in proposal.choices if c.column is not None}
+    lacking = {c.channel.name for c in proposal.choices if c.column is None and c.channel.default is None}
+    driven = zip(system.commands, system.command_joints, strict=False)
+    return tuple(c.name for c, j in driven if c.name in lacking and f"q_{system.joint_names[j]}" in shown)
 
 
 def _without_time(survey: Survey) -> NoProposalError:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -12,6 +14,7 @@ from deepkoco.systems.system import System
 
 FASTEST = 200.0  # [rad/s]
 MOST_CYCLES = 100.0
+PITCHES = (1e-3, 10.0)  # of the poles of a linear motor, a rack, a screw [m]
 FARTHEST = 100.0  # centre of a spring [rad or m]
 
 
@@ -24,14 +27,17 @@ def _waves(system: System, joint: int) -> tuple[Parameter, Parameter]:
 
 
 def _cogging(system: System, joint: int = 0) -> tuple[Parameter, ...]:
-    if system.state_units[joint] != "rad":
-        return ()
+    if system.state_units[joint] == "m":
+        if not system.dry_friction:
+            return ()  # what flies has no rail
+        text = "way after which the load comes back"
+        return (*_waves(system, joint), Parameter("pitch", 0.02, "m", *PITCHES, 0.01, text))
     cycles = Parameter("cycles", 7.0, "1", 1.0, MOST_CYCLES, 1.0, "n, cycles per turn")
     return (*_waves(system, joint), cycles)
 
 
 def _cogging_load(joint: JointState, p: Parameters) -> Tensor:
-    phase = p["cycles"] * joint.angle
+    phase = (2.0 * math.pi / p["pitch"] if "pitch" in p else p["cycles"]) * joint.angle
     return p["sine"] * torch.sin(phase) + p["cosine"] * torch.cos(phase)
 
 
@@ -84,7 +90,12 @@ CONSTANT_LOAD = Effect(
 )
 SPRING = Effect("spring", "disturbance", "load", _spring, "a spring pulls the joint to a place", _spring_load)
 COGGING = Effect(
-    "cogging", "actuator", "load", _cogging, "a torque that comes back every part of a turn", _cogging_load
+    "cogging",
+    "actuator",
+    "load",
+    _cogging,
+    "a load that comes back every part of a turn, or every pitch of a slide",
+    _cogging_load,
 )
 PERIODIC = Effect(
     "periodic", "actuator", "load", _periodic, "an outside load that comes back in time", _periodic_load

@@ -148,11 +148,15 @@ class TreeRollout:
 def _as_known(load: EffectLoad) -> list[EffectLoad]:
     """Write a load as those that the loop knows.
 
-    A constant load is a periodic one of frequency 0; a learned load is one load for each term that acts.
+    A constant load is a periodic one of frequency 0, detents of a slide have cycles on 2 pi m; a learned load is one
+    load for each term that acts.
     """
     nothing = torch.zeros((), dtype=torch.float64)
     if load.kind == "constant_load":
         return [load._replace(kind="periodic", values=(nothing, *load.values, nothing))]
+    if "pitch" in load.names:
+        *waves, pitch = load.values
+        return [load._replace(values=(*waves, 2.0 * math.pi / pitch))]
     if load.kind != LEARNED:
         return [load]
     own = dict(zip(load.names, load.values, strict=True))

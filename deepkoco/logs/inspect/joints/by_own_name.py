@@ -15,24 +15,27 @@ from deepkoco.systems import System
 NAMED = 0.95  # probability that a column with the name of an actuator or a joint is its channel
 
 
-def command_by_name(survey: Survey, choice: Choice, shown: set[str]) -> Choice:
+def command_by_name(survey: Survey, choice: Choice, shown: set[str], joint: str = "") -> Choice:
     """A command without a column, with the one that has its name: that of the actuator, alone or behind `cmd_`.
 
-    Else the one of which all words but those for a goal are the actuator's: ``drive_cmd``, ``m_elbow_setpoint``.
+    Else the one of which all words but those for a goal are the actuator's: ``drive_cmd``, ``m_elbow_setpoint``; or
+    those of the joint that it drives: ``reach_cmd_Nm`` of ``reach_drive``.
 
     Args:
         survey: Of the log.
         choice: For the command.
         shown: Labels of the columns that are measurements.
+        joint: Name of the joint that no other command drives; empty if there is none.
     """
     if choice.column is not None:
         return choice
     names = {name.lower() for name in wanted_names(choice.channel.name, "command")}
     free = [column for column in survey.columns if column.usable and column.label not in shown]
     exact = [c for c in free if _without_unit(c, choice) in names]
-    _, own = role_in_name(choice.channel.name)
-    asked = [c for c in free if role_of(c) in {(goal, own) for goal in GOALS.values()}]
-    if not exact and (not own or len(asked) != 1):
+    asked: list[ColumnSurvey] = []
+    for own in (role_in_name(choice.channel.name)[1], role_in_name(joint)[1]):
+        asked = asked or [c for c in free if own and role_of(c) in {(goal, own) for goal in GOALS.values()}]
+    if not exact and len(asked) != 1:
         return choice
     column = (exact or asked)[0]
     unit = column.hints.unit

@@ -17,6 +17,7 @@ POSITION = {*said_by("angle"), "angles"}
 SPEED = said_by("angular velocity")
 EFFORT = {*said_by("torque"), *said_by("current"), "load", "torques", "currents"}
 LOADS = ("torque", "force")
+EFFORTS = (*LOADS, "current", "voltage")
 RATES = {"angle": "angular velocity", "length": "velocity"}
 FILLER = {
     "joint",
@@ -171,8 +172,17 @@ def loose_efforts(columns: Sequence[ColumnSurvey], joints: Sequence[LogJoint]) -
 
 
 def role_of(column: ColumnSurvey) -> tuple[str | None, str]:
-    """What a column measures or commands, None if its name does not say it; and the name of the joint."""
-    return role_in_name(column.name, column.topic)
+    """What a column measures or commands, None if its name does not say it; and the name of the joint.
+
+    The unit says what a goal is of: ``reach_cmd_Nm`` is an effort, and no position follows it.
+    """
+    role, label = role_in_name(column.name, column.topic)
+    if role != "goal" or column.hints.unit is None:
+        return role, label
+    quantity = parse_unit(column.hints.unit).quantity
+    return {**dict.fromkeys(SPEEDS, "goal speed"), **dict.fromkeys(EFFORTS, "goal effort")}.get(
+        quantity, role
+    ), label
 
 
 def role_in_name(name: str, topic: str = "") -> tuple[str | None, str]:

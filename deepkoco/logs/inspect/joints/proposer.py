@@ -71,7 +71,9 @@ def propose_joints(surveys: Sequence[Survey], system: System) -> Proposal:
     measured = [speed_by_name(survey, choice, set(by_number), system) for choice in measured]
     commanded = [_command(survey, system, k, by_number, findings) for k in range(len(system.commands))]
     shown = {c.column.label for c in measured if c.column is not None}
-    commanded = [command_by_name(survey, choice, shown) for choice in commanded]
+    commanded = [
+        command_by_name(survey, choice, shown, _driven_alone(system, k)) for k, choice in enumerate(commanded)
+    ]
     taken = {c.column.label for c in commanded if c.column is not None}
     loose = [column for column in loose_efforts(survey.columns, found) if column.label not in taken]
     choices = [*measured, *_with_loose_efforts(system, commanded, loose)]
@@ -81,6 +83,13 @@ def propose_joints(surveys: Sequence[Survey], system: System) -> Proposal:
     return Proposal(
         system.name, tuple(choices), time, score, {}, tuple(findings[k] for k in sorted(findings))
     )
+
+
+def _driven_alone(system: System, number: int) -> str:
+    """Name of the joint that this command drives and no other one does; empty if there is none."""
+    driven = system.command_joints
+    alone = number < len(driven) and driven.count(driven[number]) == 1
+    return system.joint_names[driven[number]] if alone else ""
 
 
 def _apart(found: Sequence[LogJoint], system: System) -> list[tuple[int, int]]:

@@ -1,0 +1,124 @@
+"""Loads that repeat along the way of a joint: how much of the residuals each pitch explains on the measured path."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepkoco.fit.fit import Fit, FitProblem
+from deepkoco.fit.simulate.push import Push
+from deepkoco.fit.simulate.simulator import predict
+from deepkoco.systems import ExtendedSystem
+
+LANES = 160  # simulations in one batch
+UNIT = 1e-4  # load of a response, in typical loads of the joint
+TINY = 1e-6  # change of an initial state of a response
+
+
+class Waves(NamedTuple):
+    """Residuals of a fit, explained by loads a sin(k q) + b cos(k q) on one joint.
+
+    A load of detents moves the simulation by whole pitches where it is missing, so a simulation with a little of it
+    says nothing of its phase. The phase is therefore taken along the path q that the sensor shows, and the response
+    to such a load is linear.
+
+    Attributes:
+        problem: Training windows.
+        fit: The fit.
+        system: The simulation at the fit.
+        joint: The joint.
+        path: (n + 1, W) its simulated positions at the nodes [rad or m].
+        pushed: (J, 1, W, n) load that the fit has already; None without.
+    """
+
+    problem: FitProblem
+    fit: Fit
+    system: ExtendedSystem
+    joint: int
+    path: np.ndarray
+    pushed: Tensor | None
+
+    def shown_path(self) -> np.ndarray:
+        """Return the positions (W, n + 1) that the sensor shows, or the simulated ones where none shows the joint."""
+        windows, path = self.problem.windows, self.path.T.copy()
+        if self.joint not in windows.shows:
+            return path
+        c = list(windows.shows).index(self.joint)
+        off = (self.fit.residual.reshape(windows.value.shape) / self.problem.weight)[:, c].numpy()
+        nodes = windows.step * np.arange(windows.steps + 1)
+        for w in range(len(windows)):
+            valid = windows.valid[w, c].numpy()
+            if valid.any():
+                path[w] += np.interp(nodes, windows.t[w, c].numpy()[valid], off[w][valid])
+        return path
+
+    def explained(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return by how much loads of each wave number lower chi2 (K,), and their a and b (K, 2) [N m or N].
+
+        Args:
+            numbers: (K,) wave numbers k [1/rad or rad/m].
+        """
+        path = torch.from_numpy(self.shown_path())
+        middle = 0.5 * (path[:, 1:] + path[:, :-1])
+        unit = UNIT * self.problem.system.load_scales[self.joint]
+        states = self._responses([], self.fit.state.shape[1])
+        basis, _ = torch.linalg.qr((states / TINY).permute(1, 2, 0))
+        residual = self.fit.residual.reshape(len(path), -1, 1)
+        residual = residual - basis @ (basis.mT @ residual)
+        falls, sizes = [], []
+        each = LANES // 2
+        for at in range(0, len(numbers), each):
+            phases = [float(k) * middle for k in numbers[at : at + each]]
+            loads = [unit * wave for phase in phases for wave in (torch.sin(phase), torch.cos(phase))]
+            response = (self._responses(loads, 0) / unit).permute(1, 2, 0)
+            response = response - basis @ (basis.mT @ response)
+            pairs = response.reshape(*response.shape[:2], -1, 2)
+            gram = torch.einsum("wmka,wmkb->kab", pairs, pairs)
+            match = torch.einsum("wmka,wm->ka", pairs, residual[..., 0])
+            gram = gram + 1e-9 * gram.diagonal(dim1=-2, dim2=-1).mean(-1)[:, None, None] * torch.eye(2)
+            size = torch.linalg.solve(gram, match)
+            falls.append((size * match).sum(-1).numpy())
+            sizes.append(size.numpy())
+        return np.concatenate(falls), np.concatenate(sizes)
+
+    def responses(self, sizes: np.ndarray, had: np.ndarray) -> Tensor:
+        """Return the whitened changes (D, W, CN) by such loads in the place of another one.
+
+        Args:
+            sizes: (D, 3) pitch, a and b of each.
+            had: (3,) those that the fit has.
+        """
+        path = torch.from_numpy(self.shown_path())
+        middle = 0.5 * (path[:, 1:] + path[:, :-1])
+
+        def load(pitch: float, a: float, b: float) -> Tensor:
+            phase = 2.0 * math.pi / pitch * middle
+            return a * torch.sin(phase) + b * torch.cos(phase)
+
+        base = load(*had.tolist())
+        loads = [load(*size) - base for size in sizes.tolist()]
+        return torch.cat([self._responses(loads[at : at + LANES], 0) for at in range(0, len(loads), LANES)])
+
+    def _responses(self, loads: list[Tensor], states: int) -> Tensor:
+        """Return the whitened changes (D, W, CN) by loads (W, n) on the joint, then by each initial state."""
+        problem, windows = self.problem, self.problem.windows
+        joints, lanes = problem.system.joints, 1 + len(loads) + states
+        push = torch.zeros(joints, lanes, len(windows), windows.steps, dtype=torch.float64)
+        for lane, load in enumerate(loads):
+            push[self.joint, 1 + lane] = load
+        initial = self.fit.state[None].repeat(lanes, 1, 1)
+        for s in range(states):
+            initial[1 + len(loads) + s, :, s] += TINY
+        named = {
+            n: torch.tensor(self.fit.values[n], dtype=torch.float64)
+            for n in problem.names
+            if n not in Push.NAMES
+        }
+        push = push if self.pushed is None else push + self.pushed
+        predicted = predict(self.system, windows, named, initial, push)
+        change = ((predicted[1:] - predicted[0]) * problem.weight).reshape(lanes - 1, len(windows), -1)
+        return torch.where(torch.isfinite(change).all(-1, keepdim=True), change, 0.0)
