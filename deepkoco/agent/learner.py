@@ -124,7 +124,7 @@ class Learner:
             config.cost_weight,
             ROLLOUTS[config.rollout],
             config.relative_cost,
-            None if weight is None else OtherActions(*parts[4:], weight),
+            None if weight is None else OtherActions(parts[4], parts[5], weight),
         )
         self._optimiser.zero_grad()
         losses.total.backward()

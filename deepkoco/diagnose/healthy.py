@@ -153,7 +153,9 @@ def _learn(
     prior = prior_with(problem, counted, accepted, fit.values)
     lost = [c for c in catalogue(start.system.base).values() if c.kind == LOST_COMMANDS.name]
     lost = lost if limit.allows("lost commands in the healthy logs") else []
-    losing = tuple(c.index for c in lost if best_losses(problem, fit, prior, [c], 1.0, DETECTION) is not None)
+    losing = tuple(
+        c.index for c in lost if best_losses(problem, fit, prior, [c], 1.0, DETECTION)[0] is not None
+    )
     # If the healthy logs cannot decide between several causes, a later log may. So all of them are added, with the
     # uncertainty that the healthy logs leave.
     catalogued = catalogue(start.system.base)

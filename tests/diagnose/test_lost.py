@@ -12,20 +12,22 @@ from hypothesis import strategies as st
 
 from deepkoco.diagnose import diagnose
 from deepkoco.diagnose.baseline import baseline_from, refit_sharply
+from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.data import cut_data
 from deepkoco.diagnose.evidence.selection import FURTHER
 from deepkoco.diagnose.lost_commands import sequence as loss_pattern
-from deepkoco.diagnose.lost_commands.report import deflation_with
+from deepkoco.diagnose.lost_commands.report import best_losses, deflation_with
 from deepkoco.diagnose.lost_commands.search import LostCommands, lost_commands
 from deepkoco.diagnose.lost_commands.sequence import Responses, held_over, innovations, offset_of, pattern
 from deepkoco.diagnose.residuals.residuals import Dispersion
-from deepkoco.fit.fit import FitProblem
+from deepkoco.fit.fit import FitProblem, Trial
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import make_system
 from tests.oracle.excitations import Drive
 from tests.oracle.unit import hidden_log
 
 SECONDS, SEED = 12.0, 171
+SHORT = 1.003  # of a parameter, over its best value, where a fit has stopped short
 
 
 def unit(share: float, excitation: str = "chirp") -> Recording:
@@ -45,6 +47,25 @@ def test_lost_commands_recover_the_share_of_losses():
     assert 0.04 < found.share < 0.12
     assert found.fit.chi2 / found.problem.windows.samples < 1.1
     assert found.found == found.logs[0].lost.sum()
+
+
+def test_what_losses_explain_does_not_depend_on_where_the_refit_had_ended():
+    """A refit that stopped short leaves what a fit with losses takes up by its parameters."""
+    base = make_system("rod_pendulum")
+    data = cut_data([unit(0.08)], (), base, 1.6)
+    start = baseline_from(base, data.train)
+    train, reference = refit_sharply(start, data.train)
+    problem, cause = FitProblem(start.system, train), catalogue(base)["lost_commands"]
+    short = {n: v * (SHORT if n in reference.free[:1] else 1.0) for n, v in reference.values.items()}
+    state, _ = problem.fit_states(short, reference.state)
+    stopped = problem.fit([Trial(reference.name, reference.free, start.prior, short, state)], 1)[0]
+    assert stopped.cost > reference.cost + 200.0
+    found, plain = best_losses(problem, stopped, start.prior, [cause], 1.0, FURTHER)
+    wanted, same = best_losses(problem, reference, start.prior, [cause], 1.0, FURTHER)
+    assert plain.cost == pytest.approx(reference.cost, abs=1.0)
+    assert same.cost == pytest.approx(reference.cost, abs=1.0)
+    statistic = [losses.finding.evidence[0].statistic for losses in (found, wanted)]
+    assert statistic[0] == pytest.approx(statistic[1], rel=0.02)
 
 
 @pytest.mark.study

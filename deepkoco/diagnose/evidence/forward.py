@@ -8,8 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepkoco.diagnose.causes import Cause, catalogue
-from deepkoco.diagnose.causes.timing import LOST_COMMANDS
+from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.causes.units import LARGE_MISFIT
 from deepkoco.diagnose.evidence.absorbed import absorbed, refit_without
 from deepkoco.diagnose.evidence.around import lowest_around
@@ -34,7 +33,7 @@ from deepkoco.diagnose.evidence.seen_when_healthy import (
 )
 from deepkoco.diagnose.evidence.selected import Selected, fall_of_bic, on_refit
 from deepkoco.diagnose.evidence.selection import FURTHER, PATIENCE, rank, without_events_first
-from deepkoco.diagnose.evidence.selection_task import SelectionTask
+from deepkoco.diagnose.evidence.selection_task import FITTED_TO_ERROR, SelectionTask
 from deepkoco.diagnose.evidence.start_values import Hints
 from deepkoco.diagnose.lost_commands.report import best_losses, instead_of_push
 from deepkoco.diagnose.progress import in_company_of
@@ -45,14 +44,11 @@ from deepkoco.diagnose.residuals.residuals import (
     missing_torque,
 )
 from deepkoco.diagnose.residuals.whiteness import more_than_noise
-from deepkoco.fit.fit import Fit, FitProblem, Trial
+from deepkoco.fit.fit import Fit, FitProblem
 
 MOST_CAUSES = 3
 MAX_ROUNDS = 3  # of comparing each cause again and eliminating causes
 MOST_TOLERATED = 2  # causes within their tolerance that a fit contains beside others
-# Share of what is explained. Pushes and lost commands can fit a part of any model error. Where they explain less, and
-# more than noise is left, they are no causes, and no reason to doubt those beside them.
-FITTED_TO_ERROR = 0.1
 
 
 class First(NamedTuple):
@@ -96,7 +92,10 @@ class Selection(SelectionTask):
         forward = self._forward(nothing, first, hints)
         first = on_refit(forward.steps) or first
         plain = self._pruned(forward) if self.naming else forward
-        lossy = self._with_losses(nothing, forward, plain)
+        lossy, elsewhere = self._with_losses(nothing, forward, plain)
+        if elsewhere is not None:
+            self.progress("every cause again, on a better refit that the search for lost commands has found")
+            return self.go_on(self.first_ranking(elsewhere, missing_torque(self.problem, elsewhere)))
         if lossy is None:
             found = self._with_losses_in_class(plain) if self.naming else plain
         else:
@@ -279,25 +278,28 @@ class Selection(SelectionTask):
         without = refit_without(problem, self.start, self.refit, names, PATIENCE)
         return self.before if without.diverged else max(self.before, without.cost - self.refit.penalty)
 
-    def _with_losses(self, nothing: Selected, forward: Selected, plain: Selected) -> Selected | None:
-        """Accept lost commands and further causes if they explain clearly more than causes alone; else return None.
+    def _with_losses(
+        self, nothing: Selected, forward: Selected, plain: Selected
+    ) -> tuple[Selected | None, Fit | None]:
+        """Accept lost commands and further causes if they explain clearly more than causes alone.
 
-        A pattern of many losses can imitate almost any missing mechanism, so lost commands are tested last.
+        A pattern of many losses can imitate almost any missing mechanism, so lost commands are tested last. If all they
+        have done is to lead to a better refit, that is the second result.
 
         Args:
             nothing: The refit.
             forward: All causes of the forward selection, in their order.
             plain: The causes that remain after elimination.
         """
-        causes = self._loss_causes()
+        causes = self.loss_causes()
         # While structure remains, no lost commands are named (see `verdict_of`), so they are not searched for where
         # a simulation of many parameters leaves much of it.
         if not causes or (self.start.tempering > 1.0 and self.left(plain.final)):
-            return None
-        best = self._with_searched_losses(plain, causes)
+            return None, None
+        best, elsewhere = self._with_searched_losses(plain, causes)
         left = self.left(plain.final)
-        if best is None and not left and plain.accepted:
-            return None
+        if elsewhere is not None or (best is None and not left and plain.accepted):
+            return None, elsewhere
         prefixes = [nothing] if plain.accepted else []
         several = len(forward.accepted) > 1 and not forward.steps[0][0].beside
         if several and forward.accepted[:1] != plain.accepted:
@@ -305,45 +307,27 @@ class Selection(SelectionTask):
             prefixes.append(
                 replace(nothing, final=step[0].best.fit, accepted=forward.accepted[:1], steps=(step,))
             )
-        searched = (self._with_searched_losses(p, causes) for p in prefixes)
-        rivals = [f for f in (best, *searched) if f is not None]
+        rivals = [] if best is None else [best]
+        for prefix in prefixes:
+            found, elsewhere = self._with_searched_losses(prefix, causes)
+            if elsewhere is not None:
+                return None, elsewhere
+            rivals += [] if found is None else [found]
         if not rivals:
-            return None
+            return None, None
         # A cause that is added to lost commands needs the same fall of the BIC as any further cause.
         found = max(rivals, key=lambda f: self._score(f, nothing.final, rivals) - FURTHER * len(f.accepted))
         wanted = FURTHER if plain.accepted else self.loss_detection
         everyone = [plain, *rivals]
         reference = nothing.final
         if self._score(found, reference, everyone) <= self._score(plain, reference, everyone) + wanted:
-            return None
-        return None if self._losses_fit_error(found, plain) else found
-
-    def _losses_fit_error(self, found: Selected, plain: Selected) -> bool:
-        """Return whether lost commands explain little and leave more than noise.
-
-        Real losses leave only noise, so these would not be named. They would take along the names of causes that
-        explain nearly everything.
-
-        Args:
-            found: Lost commands with causes.
-            plain: The causes that were selected without lost commands.
-        """
-        if more_than_noise(found.final, self.train, self.start) is None:
-            return False
-        if found.accepted == plain.accepted:
-            alone = plain.final
-        else:
-            prior = prior_with(self.problem, self.start, found.accepted, found.final.values)
-            f = found.final
-            alone = self.problem.fit_one(
-                Trial(f.name, prior.names, prior, f.values, f.state, f.nuisance), PATIENCE
-            )
-        return alone.chi2 - found.final.chi2 < FITTED_TO_ERROR * (self.before - found.final.chi2)
+            return None, None
+        return None if self.losses_fit_error(found, plain) else found, None
 
     def _with_losses_in_class(self, found: Selected) -> Selected:
         """Add lost commands to the class of a push if they explain the data as well."""
         steps = list(found.steps)
-        causes = self._loss_causes()
+        causes = self.loss_causes()
         for k, cause in enumerate(found.accepted):
             if cause.effect == "event" and causes and self.limit.allows("lost commands"):
                 self.progress(f"lost commands instead of {cause.name}")
@@ -352,26 +336,28 @@ class Selection(SelectionTask):
                 steps[k] = (ranking, (*members, *more))
         return replace(found, steps=tuple(steps))
 
-    def _loss_causes(self) -> list[Cause]:
-        """Lost commands of every command channel, except those of which healthy logs also lose some."""
-        known = catalogue(self.start.system.base).values() if self.causes is None else self.causes
-        return [c for c in known if c.kind == LOST_COMMANDS.name and c.index not in self.start.losing]
+    def _with_searched_losses(
+        self, prefix: Selected, causes: Sequence[Cause]
+    ) -> tuple[Selected | None, Fit | None]:
+        """Search lost commands on top of a selection, and then accept further causes.
 
-    def _with_searched_losses(self, prefix: Selected, causes: Sequence[Cause]) -> Selected | None:
-        """Search lost commands on top of a selection, and then accept further causes."""
+        Returns:
+            The selection with them, None where there are none; and a refit that explains what they had seemed to.
+        """
         if not self.limit.allows("lost commands"):
-            return None
+            return None, None
         self.progress(f"lost commands{in_company_of(c.name for c in prefix.accepted)}")
         start, fit = self.start, prefix.final
         prior = prior_with(self.problem, start, prefix.accepted, fit.values)
         wanted = FURTHER if prefix.accepted else self.loss_detection
-        found = best_losses(self.problem, fit, prior, causes, start.least_deflation, wanted)
+        found, without_them = best_losses(self.problem, fit, prior, causes, start.least_deflation, wanted)
         if found is None:
-            return None
+            better = not prefix.accepted and without_them.cost < fit.cost
+            return None, without_them if better else None
         lossy = replace(
             prefix, final=found.fit, acting=found.problem, lost=found.finding, charge=found.charge
         )
-        return self._pruned(self._forward(lossy))
+        return self._pruned(self._forward(lossy)), None
 
     def _score(self, found: Selected, reference: Fit, everyone: Sequence[Selected]) -> float:
         """Fall of the BIC from the refit, with the deflation of the best fit of all."""

@@ -7,17 +7,23 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from deepkoco.diagnose.baseline import Baseline
-from deepkoco.diagnose.causes import Cause
+from deepkoco.diagnose.causes import Cause, catalogue
+from deepkoco.diagnose.causes.timing import LOST_COMMANDS
 from deepkoco.diagnose.evidence.minor import Minor, tolerated
-from deepkoco.diagnose.evidence.priors import strained
+from deepkoco.diagnose.evidence.priors import prior_with, strained
 from deepkoco.diagnose.evidence.selected import Selected
-from deepkoco.diagnose.evidence.selection import FURTHER
+from deepkoco.diagnose.evidence.selection import FURTHER, PATIENCE
 from deepkoco.diagnose.evidence.start_values import Hints
 from deepkoco.diagnose.progress import Progress, silent
 from deepkoco.diagnose.residuals.residuals import MissingTorque, dispersion
+from deepkoco.diagnose.residuals.whiteness import more_than_noise
 from deepkoco.diagnose.time_limit import TimeLimit
 from deepkoco.fit.data.windows import Windows
-from deepkoco.fit.fit import Fit, FitProblem
+from deepkoco.fit.fit import Fit, FitProblem, Trial
+
+# Share of what is explained. Pushes and lost commands can fit a part of any model error. Where they explain less, and
+# more than noise is left, they are no causes, and no reason to doubt those beside them.
+FITTED_TO_ERROR = 0.1
 
 
 class SelectionTask:
@@ -109,3 +115,30 @@ class SelectionTask:
         """
         far = strained(problem, self.start, fit, alone)
         return Hints(self.start.system, problem.windows, missing, fit.chi2 / self.train.samples, far)
+
+    def loss_causes(self) -> list[Cause]:
+        """Return lost commands of every command channel, except those of which healthy logs also lose some."""
+        known = catalogue(self.start.system.base).values() if self.causes is None else self.causes
+        return [c for c in known if c.kind == LOST_COMMANDS.name and c.index not in self.start.losing]
+
+    def losses_fit_error(self, found: Selected, plain: Selected) -> bool:
+        """Return whether lost commands explain little and leave more than noise.
+
+        Real losses leave only noise, so these would not be named. They would take along the names of causes that
+        explain nearly everything.
+
+        Args:
+            found: Lost commands with causes.
+            plain: The causes that were selected without lost commands.
+        """
+        if more_than_noise(found.final, self.train, self.start) is None:
+            return False
+        if found.accepted == plain.accepted:
+            alone = plain.final
+        else:
+            prior = prior_with(self.problem, self.start, found.accepted, found.final.values)
+            f = found.final
+            alone = self.problem.fit_one(
+                Trial(f.name, prior.names, prior, f.values, f.state, f.nuisance), PATIENCE
+            )
+        return alone.chi2 - found.final.chi2 < FITTED_TO_ERROR * (self.before - found.final.chi2)

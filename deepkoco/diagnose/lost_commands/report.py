@@ -20,7 +20,7 @@ from deepkoco.diagnose.evidence.ranking import penalty
 from deepkoco.diagnose.evidence.selection import PATIENCE
 from deepkoco.diagnose.lost_commands.search import LostCommands, lost_commands
 from deepkoco.diagnose.residuals.residuals import SLOTS, Dispersion, dispersion, missing_torque
-from deepkoco.fit.fit import Fit, FitProblem
+from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.prior import Prior
 
 # One or two losses could also be a push, and model error can imitate losses that do not show clearly.
@@ -46,14 +46,21 @@ class Losses(NamedTuple):
 
 def best_losses(
     problem: FitProblem, fit: Fit, prior: Prior, causes: Sequence[Cause], floor: float, wanted: float
-) -> Losses | None:
-    """Return the lost commands of the channel with the lowest cost, if they lower the BIC enough; else None.
+) -> tuple[Losses | None, Fit]:
+    """Return the lost commands of the channel with the lowest cost, and the best fit of the model without them.
+
+    Stick and slip leave a fit many minima, and a search that changes the commands may lead a fit from one to another.
+    What that gains is no work of the losses. So the model without them is also fitted from where the fit with them
+    ended, and they have to lower the BIC beside the better one of its fits.
 
     Args:
         problem, fit, prior: Model whose residuals are to be explained.
         causes: Lost commands of every command channel of the system.
         floor: Smallest deflation.
         wanted: Fall of the BIC that they need.
+
+    Returns:
+        The losses, None where they do not lower the BIC enough; and ``fit``, or a better one.
     """
     tried = [(cause, lost_commands(problem, fit, prior, cause.index)) for cause in causes]
     found = [
@@ -62,17 +69,27 @@ def best_losses(
         if lost is not None and lost.lost >= MIN_CLEAR_LOSSES and _by_chance(lost)
     ]
     if not found:
-        return None
+        return None, fit
     _, cause, lost = min(found, key=lambda item: item[0])
     deflation = max(
         deflation_with(lost.found, dispersion(lost.fit, problem.windows), problem.windows.samples), floor
     )
-    ratio = fit.cost - lost.fit.cost
-    score = ratio / deflation - lost.charge
-    if score <= wanted:
-        return None
     needed = (lost.charge + wanted) * deflation
-    return Losses(_finding(lost, cause, ratio, score, needed, wanted), lost.problem, lost.fit, lost.charge)
+    if fit.cost - lost.fit.cost <= needed:
+        return None, fit
+    plain = _from_where_losses_led(problem, fit, prior, lost)
+    ratio = plain.cost - lost.fit.cost
+    if ratio <= needed:
+        return None, plain
+    finding = _finding(lost, cause, ratio, ratio / deflation - lost.charge, needed, wanted)
+    return Losses(finding, lost.problem, lost.fit, lost.charge), plain
+
+
+def _from_where_losses_led(problem: FitProblem, fit: Fit, prior: Prior, lost: LostCommands) -> Fit:
+    """Return the model without losses, fitted from where the fit with them ended; ``fit`` if that is no better."""
+    there = Trial(fit.name, fit.free, prior, lost.fit.values, lost.fit.state, lost.fit.nuisance)
+    again = problem.fit([there], PATIENCE)[0]
+    return again if not again.diverged and again.cost < fit.cost else fit
 
 
 def deflation_with(positions: int, spread: Dispersion, samples: float) -> float:

@@ -35,7 +35,8 @@ class PixelCopies(PixelLayer):
         self._systems = WanderingSystems(setup)
         self._covers = options.layout == AROUND
         if self._covers:
-            self.task_place, self._places = places_around(setup.size, options.copies, options.occlusion)
+            middle, self._places = places_around(setup.size, options.copies, options.occlusion)
+            self.task_place: Place | None = middle
         else:
             self._places = places_below(setup.size, options.copies)
 
