@@ -1,5 +1,7 @@
 """Backward elimination: superfluous causes are removed and true causes stay."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -104,6 +106,16 @@ def test_without_kinds_removes_detents_and_tones_beside_other_causes():
     # So does everything where nothing of these kinds is there.
     same, unchanged = without_kinds(problem, start, causes, fit, PUSHES)
     assert (same, unchanged) == (causes, fit)
+
+
+def test_a_cause_stays_without_which_the_others_let_the_simulation_diverge():
+    problem, start, causes, fit, _ = fitted(
+        hidden_log("rod_pendulum", {"coulomb": {"torque": 0.1}}, "steps", 225, 12.0),
+        ["cogging", "quadratic"],
+    )
+    feeding = replace(fit, values=fit.values | {"quadratic.drag": -1e3})
+    kept, unchanged = without_kinds(problem, start, causes, feeding, BENDING)
+    assert (kept, unchanged) == (causes, feeding)
 
 
 def looked_at_again(system, hidden, excitation, seed, first, wrong, known):

@@ -204,8 +204,10 @@ def without_kinds(
     if not loose or all(kind_of(c.name) in FLEXIBLE_CAUSES for c in kept):
         return kept, fit
     for cause in loose:
-        fit = problem.fit_one(without(problem, start, kept, cause, fit), ITERATIONS, CLOSE)
-        kept.remove(cause)
+        (less,) = problem.fit([without(problem, start, kept, cause, fit)], ITERATIONS, CLOSE)
+        if not less.diverged:  # else the others need it
+            fit = less
+            kept.remove(cause)
     return kept, fit
 
 

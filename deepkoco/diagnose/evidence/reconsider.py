@@ -42,7 +42,9 @@ def reconsidered(task: SelectionTask, found: Selected, least: int = 2) -> Select
         if done or cause in healthy or not task.limit.allows(f"comparing {cause.name} again"):
             continue
         task.progress(f"comparing {cause.name} again{in_company_of(c.name for c in others)}")
-        less = problem.fit_one(without(problem, start, accepted, cause, final), PATIENCE, near)
+        (less,) = problem.fit([without(problem, start, accepted, cause, final)], PATIENCE, near)
+        if less.diverged:
+            continue  # the others feed energy in which this cause takes up: nothing beside them alone can be compared
         hints = task.hints(problem, less, missing_torque(problem, less), not others)
         # A push can improve any window that a missing cause fits badly. It therefore competes with no other
         # cause; only its time and size are fitted again.
