@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 
 WARM_UPS = 3  # steps before a capture, in which libraries allocate and choose what they do lazily
-Step = Callable[..., Tensor]
+Step = Callable[[Sequence[Tensor], Any], Tensor]
+"""From the parts of a batch and the key."""
 
 
 class CapturedStep:

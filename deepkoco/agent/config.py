@@ -155,7 +155,7 @@ class TrainingConfig:
     """Start states of the final evaluation from which zero action, random episodes and EDMDc with the same planner are
     measured too, to say whether the training was worth it; 0 for none."""
     device: str = "cpu"
-    """Where the model is fitted, "cpu" or "cuda". Acting and episodes stay on the CPU."""
+    """Where the model is fitted and frames are kept, "cpu" or "cuda". Acting and episodes stay on the CPU."""
     checkpoint_updates: int = 1000
     """Updates between two checkpoints inside an iteration."""
 

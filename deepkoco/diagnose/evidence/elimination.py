@@ -187,7 +187,7 @@ def without_kinds(
     """Remove the causes of some kinds, unless only pushes, tones and detents are accepted.
 
     Detents, tones and pushes can fit nearly any structure. If structure remains in spite of them, the data do not
-    support them.
+    support them. One stays where the simulation of the others diverges without it.
 
     Args:
         problem: Training windows.
