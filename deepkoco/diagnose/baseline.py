@@ -225,9 +225,9 @@ def refit(
     """Fit the baseline's parameters under their prior, first on windows of half the length.
 
     The cost of a long window across an unstable equilibrium has many minima; that of half windows has fewer. The fit
-    on half windows gives the start values of parameters and initial states for the full windows. Where that fit ends
-    without a minimum, as in a valley of stick and slip that no slope leaves, the full windows are fitted from the
-    present values too, and the lower cost is kept.
+    on half windows gives the start values of parameters and initial states for the full windows. Where one of these
+    fits ends without a minimum, as in a valley of stick and slip that no slope leaves, the full windows are fitted from
+    the present values too, and the lower cost is kept.
 
     Args:
         start: Prior and present values.
@@ -242,7 +242,7 @@ def refit(
     guess[torch.from_numpy(few_windows(windows, len(names)))] = first.state[::2]
     state, _ = problem.fit_states(first.values, guess)
     found = problem.fit_one(Trial("refit", names, start.prior, first.values, state, first.nuisance))
-    if not first.stuck:
+    if not (first.stuck or found.stuck):
         return found
     state, _ = problem.fit_states(start.values, windows.state)
     again = problem.fit([Trial("refit", names, start.prior, start.values, state)], LONG)[0]
