@@ -163,6 +163,7 @@ def test_what_is_more_than_any_unit_has_is_not_left_out(with_friction):
 
 
 @pytest.mark.study
+@pytest.mark.long
 def test_a_lag_of_a_millisecond_is_nothing_before_encoders_of_little_noise(tmp_path):
     # As a slope, at a point of 500 noise variances, it left "nothing" 3 nats behind the lag.
     handed = draw_case(50000, 21, 20.0).question(tmp_path).handed
