@@ -234,6 +234,12 @@ def refit(
         windows: The windows to fit.
         free: Parameters to free; None frees all that the prior covers.
         first: The fit on half windows, where it is known.
+
+    Returns:
+        The fit of the full windows.
+
+    Raises:
+        DivergedError: The simulation diverges at the present values, or at those of the fit on half windows.
     """
     names = start.prior.names if free is None else free
     first = on_half_windows(start, windows, names) if first is None else first
