@@ -18,8 +18,8 @@ from deepkoco.fit.solve.lazy_batch import MANY, LazyBatch
 from deepkoco.fit.solve.levenberg_marquardt import TOLERANCE, Batch
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.solve.scaled_inverse import DivergedError, scaled_inverse
-from deepkoco.fit.solve.state_search import StateSearch
-from deepkoco.fit.tangent import MANY_STATES, Tangent, simulated, state_steps
+from deepkoco.fit.solve.state_search import search_states
+from deepkoco.fit.tangent import Tangent, simulated
 
 __all__ = ["Fit", "FitProblem", "Trial", "channel_delays"]
 
@@ -199,41 +199,6 @@ class FitProblem(ShootingProblem):
         Returns:
             States (K, W, S), costs (K, W).
         """
-        sets, count, size = state.shape
-        nuisance = self.nuisances.none().repeat(sets, 1) if nuisance is None else nuisance
+        nuisance = self.nuisances.none().repeat(len(state), 1) if nuisance is None else nuisance
         theta = np.array([[float(v[n]) for n in self.names] for v in values])
-        search = StateSearch.at(state)
-        for iteration in range(iterations):
-            moving = (~search.settled).nonzero()
-            if len(moving) == 0:
-                break
-            # Sets and windows in which all states are found are not simulated again.
-            rows, columns = moving[:, 0].unique(), moving[:, 1].unique()
-            part = self if len(columns) == count else self.of_windows(columns)
-            some = search.of(rows, columns)
-            # With many states, every second iteration from the third on keeps the slopes of the one before.
-            fresh = size < MANY_STATES or iteration < 2 or iteration % 2 == 0
-            nudge = state_steps(size) if fresh else ()
-            # Lanes of one set side by side: what acts in some sets alone is then simulated in their lanes alone.
-            count_of = 1 + len(nudge)
-            lanes = some.trial[:, None].repeat(1, count_of, 1, 1)
-            for s, step in enumerate(nudge):
-                lanes[:, 1 + s, :, s] += step
-            sets_of = np.repeat(theta[rows.numpy()], count_of, axis=0)
-            there = nuisance[rows].repeat_interleave(count_of, 0)
-            usual = part.with_usual_steps if fresh else part
-            predicted = usual.predict(sets_of, lanes.flatten(0, 1), there)
-            predicted = predicted.unflatten(0, (len(rows), count_of)).transpose(0, 1)
-            if usual is not part:
-                exact = part.predict(theta[rows.numpy()], some.trial, nuisance[rows])
-                predicted += exact - predicted[0]
-                predicted[0] = exact
-            residual = ((part.windows.value - predicted[0]) * part.weight).flatten(2)
-            if fresh:
-                differences = torch.tensor(nudge, dtype=torch.float64)[:, None, None, None, None]
-                slopes = (predicted[1:] - predicted[0]) / differences * part.weight
-                some.slopes = slopes.flatten(3).permute(1, 2, 0, 3)
-            some.judge(residual, TOLERANCE / count)
-            some.propose()
-            search.put(rows, columns, some)
-        return search.best, search.cost
+        return search_states(self, theta, state, nuisance, iterations, TOLERANCE / state.shape[1])

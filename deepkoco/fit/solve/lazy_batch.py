@@ -75,7 +75,6 @@ class LazyBatch(Batch):
         self.whole = np.ones(count, dtype=bool)  # all slopes are computed again, not only those that matter
         self.partly = np.zeros(count, dtype=bool)  # the latter were computed at the best point
         self.fresh: list[dict[str, Tensor]] = [{}] * count
-        self.corrected = np.zeros(count, dtype=bool)  # the next point has other initial states only
         self.curved = np.zeros(count, dtype=bool)  # a step with slopes of its point has raised the cost
 
     def run(self, iterations: int) -> list[Fit]:
@@ -86,13 +85,12 @@ class LazyBatch(Batch):
             active = np.flatnonzero(~self.done)
             if len(active) == 0:
                 break
-            for k, normal in zip(active.tolist(), self._evaluate(active, *points), strict=True):
+            for k, normal in self._normals(active, points).items():
                 if self.normal[k] is not None and self.renewing[k]:
                     self._renew(k, normal)
                 else:
                     self._judge(k, normal, points)
-                going_on = not (self.done[k] or self.renewing[k] or self.corrected[k])
-                if going_on and iteration < last:
+                if not (self.done[k] or self.renewing[k]) and iteration < last:
                     self._propose(k, points)
                 if self.renewing[k]:
                     points[0][k], points[1][k], points[2][k] = (
@@ -100,12 +98,21 @@ class LazyBatch(Batch):
                     )  # fmt: skip
         return [replace(self._result(k), exact=bool(self.current[k])) for k in range(len(self.trials))]
 
+    def _normals(
+        self, active: np.ndarray, points: tuple[np.ndarray, Tensor, Tensor]
+    ) -> dict[int, NormalEquations]:
+        """Return the equations at the points, with other initial states where these lower the cost."""
+        result = dict(zip(active.tolist(), self._evaluate(active, *points), strict=True))
+        stepped = [k for k in result if self.normal[k] is not None and not self.renewing[k]]
+        raised = [k for k in stepped if not result[k].cost <= self.cost[k]]
+        lower = np.array(self._search_states(raised, *points), dtype=int)
+        return result | dict(zip(lower.tolist(), self._evaluate(lower, *points), strict=True))
+
     def _judge(self, k: int, normal: NormalEquations, points: tuple[np.ndarray, Tensor, Tensor]) -> None:
         """Accept or reject a point."""
         decrease = self.cost[k] - normal.cost
         first = self.normal[k] is None
         fresh, self.renewing[k] = bool(self.renewing[k]), False
-        self.corrected[k] = False
         if normal.finite and decrease >= 0:
             if not (first or fresh) and self.most != 0:
                 normal = self._mended(k, normal, points)
@@ -120,9 +127,6 @@ class LazyBatch(Batch):
                     self._ask_for_slopes(k)
         elif first:
             self.done[k] = True
-        elif (states := self._correction(k, normal)) is not None:
-            points[1][k] += states
-            self.corrected[k] = True
         elif self.current[k] or not self._ask_for_slopes(k):
             self.damping[k] *= 20.0
             self.curved[k] |= self.current[k]
@@ -195,7 +199,6 @@ class LazyBatch(Batch):
         if self.curved[k]:
             theta, initial, nuisance = self._bent(k, theta, initial, nuisance)
         points[0][k], points[1][k], points[2][k] = theta, initial, nuisance
-        self.corrections[k] = 0
         self.predicted[k] = gain
         if gain < 0.25 * self._tolerance(k):
             self._settle(k)

@@ -1,11 +1,12 @@
 """Levenberg-Marquardt for many trials, with one batch of simulations per iteration.
 
-A step that raises the cost is corrected once or twice before it is shortened: the initial states of the windows are
-solved again at the new parameters. A command that is held from sample to sample enters a window in jumps when its
-delay grows, so the best initial states move along a broken line, which no straight step follows.
+Before a step that raises the cost is shortened, the initial states are searched again at the new parameters, in each
+window by itself. No straight step follows the best initial states where a joint sticks, or where a held command enters
+a window in a jump when its delay grows. One window out of twenty that goes astray would otherwise hold the parameters
+where they are, in all of them.
 
-Source: Nocedal, Wright, Numerical Optimization (2006), sec. 15.6, second-order correction; Golub, Pereyra, The
-differentiation of pseudo-inverses and nonlinear least squares problems whose variables separate (1973).
+Source: Golub, Pereyra, The differentiation of pseudo-inverses and nonlinear least squares problems whose variables
+separate (1973).
 """
 
 from __future__ import annotations
@@ -22,11 +23,12 @@ from deepkoco.fit.shooting import ShootingProblem
 from deepkoco.fit.solve.covariance import covariance_of
 from deepkoco.fit.solve.normal_equations import NormalEquations
 from deepkoco.fit.solve.scaled_inverse import DivergedError, scaled_inverse
+from deepkoco.fit.solve.state_search import best_states
 from deepkoco.fit.tangent import Tangent, batches, simulated
 
 TOLERANCE = 0.02  # a fit has converged when a step lowers its cost by less
 LARGEST_DAMPING = 1e8
-CORRECTIONS = 2  # of the initial states, for each step
+SEARCHED = 8  # simulations of a search of the initial states, for each step
 LARGE = (
     0.125  # of the lanes that are simulated in one batch, from which points are simulated before their slopes
 )
@@ -54,7 +56,6 @@ class Batch:
         self.converged = np.zeros(count, dtype=bool)
         self.history: list[list[float]] = [[] for _ in trials]
         self.normal: list[NormalEquations | None] = [None] * count
-        self.corrections = np.zeros(count, dtype=int)  # since the last step
 
     def run(self, iterations: int) -> list[Fit]:
         trial_theta, trial_initial = self.theta.copy(), self.initial.clone()
@@ -73,10 +74,6 @@ class Batch:
                     self.initial[k], self.nuisance[k] = trial_initial[k], trial_nuisance[k]
                     self.damping[k] = max(self.damping[k] * 0.1, 1e-9)
                     self.converged[k] = decrease < self._tolerance(int(k))
-                elif (states := self._correction(int(k), normal)) is not None:
-                    trial_initial[k] += states
-                    self.history[k].append(float(self.cost[k]))
-                    continue
                 else:
                     self.damping[k] *= 20.0
                     # If the step raises the cost by rounding errors only, the cost is at its minimum.
@@ -92,25 +89,36 @@ class Batch:
                         self.done[k] = True
                         continue
                     trial_theta[k], trial_initial[k], trial_nuisance[k], gain = step
-                    self.corrections[k] = 0
                     if gain < 0.25 * self._tolerance(int(k)):
                         self.done[k] = self.converged[k] = True
         return [self._result(k) for k in range(len(self.trials))]
 
-    def _correction(self, k: int, normal: NormalEquations) -> Tensor | None:
-        """Return the move (W, S) of the initial states alone from a rejected point, None where it promises too little.
+    def _search_states(
+        self, raised: Sequence[int], theta: np.ndarray, initial: Tensor, nuisance: Tensor
+    ) -> list[int]:
+        """Search initial states at points that raise the cost; return the trials for which they lower it.
 
         Args:
-            k: The trial.
-            normal: Equations at the rejected point.
+            raised: The trials.
+            theta, initial, nuisance: Points of all trials; better initial states are written into them.
         """
-        if self.corrections[k] >= CORRECTIONS or not normal.finite or self.normal[k] is None:
-            return None
-        states, gain = normal.states_alone()
-        if not normal.cost - gain < self.cost[k]:
-            return None
-        self.corrections[k] += 1
-        return states
+        if not len(raised):
+            return []
+        own, windows = torch.as_tensor(raised), self.problem.windows
+        starts = initial[own], self.initial[own]
+        each = TOLERANCE / max(len(windows), 1)
+        states, costs = best_states(self.problem, theta[raised], starts, nuisance[own], SEARCHED, each)
+        lower = []
+        for k, state, cost in zip(raised, states, costs, strict=True):
+            if float(cost.sum()) + self._penalty(k, theta[k], nuisance[k]) <= self.cost[k]:
+                initial[k] = state
+                lower.append(k)
+        return lower
+
+    def _penalty(self, k: int, theta: np.ndarray, nuisance: Tensor) -> float:
+        """Return the prior's share of the cost of a trial at a point."""
+        prior, offset = map(torch.from_numpy, self.penalties[k].at(theta[self.columns[k]]))
+        return float(offset @ prior @ offset) + float(self.problem.nuisances.precision @ nuisance**2)
 
     def _tolerance(self, k: int) -> float:
         """Return the fall of the cost below which a trial has converged, for residuals of the size that it has.
@@ -123,27 +131,31 @@ class Batch:
         self, active: np.ndarray, theta: np.ndarray, initial: Tensor, nuisance: Tensor
     ) -> list[NormalEquations]:
         """Simulate the active trials with their finite differences, a few at a time; form the normal equations."""
-        problem = self.problem
-        varying = np.array([problem.names.index(n) for n in problem.nuisances.varies], dtype=int)
-        moved = {k: np.append(self.columns[k], np.setdiff1d(varying, self.columns[k])) for k in active}
+        varying = np.array([self.problem.names.index(n) for n in self.problem.nuisances.varies], dtype=int)
         result = self._rejected(active, theta, initial, nuisance)
-        # Slopes at a rejected point correct its initial states, if these may be corrected once more.
-        alone = {k for k in result if self.corrections[k] < CORRECTIONS}
-        pending = np.array([k for k in active if k not in result or k in alone], dtype=int)
-        moved |= {k: moved[k][:0] for k in alone}
-        tangents = [Tangent.at(problem, theta[k], moved[k], initial[k]) for k in pending]
-        for some in batches([len(tangent) for tangent in tangents], problem.most_lanes):
-            own = [tangents[i] for i in some]
-            predicted, at = simulated(problem, own, nuisance[pending[some]]), 0
-            for tangent, k in zip(own, pending[some], strict=True):
-                lanes = predicted[at : at + len(tangent)]
-                at += len(lanes)
-                if k in alone:
-                    known = _of_states(tangent.slopes(lanes, problem.weight), result[k].residual)
-                    result[k] = replace(known, cost=result[k].cost)
-                else:
-                    result[k] = self._equations(k, tangent, moved[k], varying, lanes, theta[k], nuisance[k])
+        result |= self._at_points([k for k in active if k not in result], varying, theta, initial, nuisance)
+        raised = [k for k in active if self.normal[k] is not None and not result[k].cost <= self.cost[k]]
+        lower = self._search_states(raised, theta, initial, nuisance)
+        result |= self._at_points(lower, varying, theta, initial, nuisance)
         return [result[k] for k in active]
+
+    def _at_points(
+        self, which: Sequence[int], varying: np.ndarray, theta: np.ndarray, initial: Tensor, nuisance: Tensor
+    ) -> dict[int, NormalEquations]:
+        """Return the normal equations of some trials at their points."""
+        problem, result = self.problem, {}
+        moved = [np.append(self.columns[k], np.setdiff1d(varying, self.columns[k])) for k in which]
+        tangents = [
+            Tangent.at(problem, theta[k], columns, initial[k]) for k, columns in zip(which, moved, strict=True)
+        ]
+        these = np.array(which, dtype=int)
+        for some in batches([len(tangent) for tangent in tangents], problem.most_lanes):
+            predicted, at = simulated(problem, [tangents[i] for i in some], nuisance[these[some]]), 0
+            for i in some:
+                k, lanes = which[i], predicted[at : at + len(tangents[i])]
+                at += len(lanes)
+                result[k] = self._equations(k, tangents[i], moved[i], varying, lanes, theta[k], nuisance[k])
+        return result
 
     def _rejected(
         self, active: np.ndarray, theta: np.ndarray, initial: Tensor, nuisance: Tensor
@@ -160,8 +172,7 @@ class Batch:
         for k, own in zip(later, problem.predict(theta[later], initial[later], nuisance[later]), strict=True):
             residual = (problem.windows.value - own) * problem.weight
             normal = _of_states(residual[None][:0], residual)
-            prior, offset = map(torch.from_numpy, self.penalties[k].at(theta[k, self.columns[k]]))
-            penalty = float(offset @ prior @ offset) + float(problem.nuisances.precision @ nuisance[k] ** 2)
+            penalty = self._penalty(k, theta[k], nuisance[k])
             if not normal.chi2 + penalty <= self.cost[k]:
                 result[k] = replace(normal, cost=normal.chi2 + penalty)
         return result

@@ -87,13 +87,6 @@ class NormalEquations:
         parts = (self.hpp, self.hps, self.hss, self.gp, self.gs)
         return math.isfinite(self.cost) and all(bool(torch.isfinite(part).all()) for part in parts)
 
-    def states_alone(self) -> tuple[Tensor, float]:
-        """Compute the move of the initial states (W, S) at these parameters, and its predicted decrease of the cost."""
-        inverse = self._inverse_states(0.0)
-        states = torch.einsum("wst,wt->ws", inverse, self.gs)
-        curvature = float(torch.einsum("ws,wst,wt->", states, self.hss, states))
-        return states, 2.0 * float((self.gs * states).sum()) - curvature
-
     def _inverse_states(self, damping: float) -> Tensor:
         """Inverse (W, S, S) of the damped curvature of the states."""
         diagonal = torch.diagonal(self.hss, dim1=-2, dim2=-1)

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
+import numpy as np
 import torch
 from torch import Tensor
+
+from deepkoco.fit.shooting import ShootingProblem
+from deepkoco.fit.tangent import MANY_STATES, state_steps
 
 
 @dataclass
@@ -86,3 +91,80 @@ class StateSearch:
         matrix = self.hessian + torch.diag_embed(self.damping[..., None] * diagonal + 1e-9)
         step, singular = torch.linalg.solve_ex(matrix, self.gradient)
         self.trial = self.best + torch.where((singular == 0)[..., None], step, 0.0)
+
+
+def search_states(
+    problem: ShootingProblem,
+    theta: np.ndarray,
+    state: Tensor,
+    nuisance: Tensor,
+    iterations: int,
+    tolerance: float,
+) -> tuple[Tensor, Tensor]:
+    """Fit the initial states of K sets of parameters, in one batch.
+
+    Args:
+        problem: The windows.
+        theta: (K, P) all parameters of each set.
+        state: (K, W, S) initial states at the start.
+        nuisance: (K, z) nuisances of the logs.
+        iterations: Largest number of simulations.
+        tolerance: Fall of the cost of a window below which its states are found.
+
+    Returns:
+        States (K, W, S), costs (K, W).
+    """
+    _, count, size = state.shape
+    search = StateSearch.at(state)
+    for iteration in range(iterations):
+        moving = (~search.settled).nonzero()
+        if len(moving) == 0:
+            break
+        # Sets and windows in which all states are found are not simulated again.
+        rows, columns = moving[:, 0].unique(), moving[:, 1].unique()
+        part = problem if len(columns) == count else problem.of_windows(columns)
+        some = search.of(rows, columns)
+        # With many states, every second iteration from the third on keeps the slopes of the one before.
+        fresh = size < MANY_STATES or iteration < 2 or iteration % 2 == 0
+        nudge = state_steps(size) if fresh else ()
+        # Lanes of one set side by side: what acts in some sets alone is then simulated in their lanes alone.
+        count_of = 1 + len(nudge)
+        lanes = some.trial[:, None].repeat(1, count_of, 1, 1)
+        for s, step in enumerate(nudge):
+            lanes[:, 1 + s, :, s] += step
+        sets_of = np.repeat(theta[rows.numpy()], count_of, axis=0)
+        there = nuisance[rows].repeat_interleave(count_of, 0)
+        usual = part.with_usual_steps if fresh else part
+        predicted = usual.predict(sets_of, lanes.flatten(0, 1), there)
+        predicted = predicted.unflatten(0, (len(rows), count_of)).transpose(0, 1)
+        if usual is not part:
+            exact = part.predict(theta[rows.numpy()], some.trial, nuisance[rows])
+            predicted += exact - predicted[0]
+            predicted[0] = exact
+        residual = ((part.windows.value - predicted[0]) * part.weight).flatten(2)
+        if fresh:
+            differences = torch.tensor(nudge, dtype=torch.float64)[:, None, None, None, None]
+            slopes = (predicted[1:] - predicted[0]) / differences * part.weight
+            some.slopes = slopes.flatten(3).permute(1, 2, 0, 3)
+        some.judge(residual, tolerance)
+        some.propose()
+        search.put(rows, columns, some)
+    return search.best, search.cost
+
+
+def best_states(
+    problem: ShootingProblem,
+    theta: np.ndarray,
+    starts: Sequence[Tensor],
+    nuisance: Tensor,
+    iterations: int,
+    tolerance: float,
+) -> tuple[Tensor, Tensor]:
+    """As :func:`search_states`, from several starts (K, W, S): each window keeps the best of them."""
+    times = len(starts)
+    states, costs = search_states(
+        problem, np.tile(theta, (times, 1)), torch.cat(list(starts)), nuisance.repeat(times, 1), iterations, tolerance
+    )
+    states, costs = states.unflatten(0, (times, len(theta))), costs.unflatten(0, (times, len(theta)))
+    pick = costs.nan_to_num(torch.inf).argmin(0)[None]
+    return states.gather(0, pick[..., None].expand(1, *states.shape[1:]))[0], costs.gather(0, pick)[0]
