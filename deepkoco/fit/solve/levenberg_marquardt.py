@@ -146,7 +146,8 @@ class Batch:
         problem, result = self.problem, {}
         moved = [np.append(self.columns[k], np.setdiff1d(varying, self.columns[k])) for k in which]
         tangents = [
-            Tangent.at(problem, theta[k], columns, initial[k]) for k, columns in zip(which, moved, strict=True)
+            Tangent.at(problem, theta[k], columns, initial[k])
+            for k, columns in zip(which, moved, strict=True)
         ]
         these = np.array(which, dtype=int)
         for some in batches([len(tangent) for tangent in tangents], problem.most_lanes):

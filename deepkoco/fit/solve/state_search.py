@@ -163,7 +163,12 @@ def best_states(
     """As :func:`search_states`, from several starts (K, W, S): each window keeps the best of them."""
     times = len(starts)
     states, costs = search_states(
-        problem, np.tile(theta, (times, 1)), torch.cat(list(starts)), nuisance.repeat(times, 1), iterations, tolerance
+        problem,
+        np.tile(theta, (times, 1)),
+        torch.cat(list(starts)),
+        nuisance.repeat(times, 1),
+        iterations,
+        tolerance,
     )
     states, costs = states.unflatten(0, (times, len(theta))), costs.unflatten(0, (times, len(theta)))
     pick = costs.nan_to_num(torch.inf).argmin(0)[None]
