@@ -116,7 +116,7 @@ class LazyBatch(Batch):
         if normal.finite and decrease >= 0:
             if not (first or fresh) and self.most != 0:
                 normal = self._mended(k, normal, points)
-            self.normal[k], self.cost[k] = normal, normal.cost
+            self.normal[k], self.cost[k], self.vain[k] = normal, normal.cost, False
             self.theta[k], self.initial[k], self.nuisance[k] = (part[k] for part in points)
             self.current[k], self.partly[k] = fresh, False
             if not first:

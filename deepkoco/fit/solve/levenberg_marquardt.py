@@ -56,6 +56,7 @@ class Batch:
         self.converged = np.zeros(count, dtype=bool)
         self.history: list[list[float]] = [[] for _ in trials]
         self.normal: list[NormalEquations | None] = [None] * count
+        self.vain = np.zeros(count, dtype=bool)  # a search of states has lowered no cost since the last step
 
     def run(self, iterations: int) -> list[Fit]:
         trial_theta, trial_initial = self.theta.copy(), self.initial.clone()
@@ -69,7 +70,7 @@ class Batch:
                 decrease = self.cost[k] - normal.cost
                 # The cost can be finite although a lane of the finite differences diverged.
                 if normal.finite and decrease >= 0:
-                    self.normal[k] = normal
+                    self.normal[k], self.vain[k] = normal, False
                     self.theta[k], self.cost[k] = trial_theta[k], normal.cost
                     self.initial[k], self.nuisance[k] = trial_initial[k], trial_nuisance[k]
                     self.damping[k] = max(self.damping[k] * 0.1, 1e-9)
@@ -102,7 +103,8 @@ class Batch:
             raised: The trials.
             theta, initial, nuisance: Points of all trials; better initial states are written into them.
         """
-        if not len(raised):
+        raised = [k for k in raised if not self.vain[k]]
+        if not raised:
             return []
         own, windows = torch.as_tensor(raised), self.problem.windows
         starts = initial[own], self.initial[own]
@@ -113,6 +115,7 @@ class Batch:
             if float(cost.sum()) + self._penalty(k, theta[k], nuisance[k]) <= self.cost[k]:
                 initial[k] = state
                 lower.append(k)
+            self.vain[k] = k not in lower
         return lower
 
     def _penalty(self, k: int, theta: np.ndarray, nuisance: Tensor) -> float:
