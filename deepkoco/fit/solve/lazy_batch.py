@@ -105,7 +105,7 @@ class LazyBatch(Batch):
         result = dict(zip(active.tolist(), self._evaluate(active, *points), strict=True))
         stepped = [k for k in result if self.normal[k] is not None and not self.renewing[k]]
         raised = [k for k in stepped if not result[k].cost <= self.cost[k]]
-        lower = np.array(self._search_states(raised, *points), dtype=int)
+        lower = np.array(self._search_states({k: result[k] for k in raised}, *points), dtype=int)
         return result | dict(zip(lower.tolist(), self._evaluate(lower, *points), strict=True))
 
     def _judge(self, k: int, normal: NormalEquations, points: tuple[np.ndarray, Tensor, Tensor]) -> None:

@@ -23,12 +23,13 @@ from deepkoco.fit.shooting import ShootingProblem
 from deepkoco.fit.solve.covariance import covariance_of
 from deepkoco.fit.solve.normal_equations import NormalEquations
 from deepkoco.fit.solve.scaled_inverse import DivergedError, scaled_inverse
-from deepkoco.fit.solve.state_search import best_states
+from deepkoco.fit.solve.state_search import search_states
 from deepkoco.fit.tangent import Tangent, batches, simulated
 
 TOLERANCE = 0.02  # a fit has converged when a step lowers its cost by less
 LARGEST_DAMPING = 1e8
 SEARCHED = 8  # simulations of a search of the initial states, for each step
+SEARCHED_SHARE = 0.25  # of the windows, up to which their initial states are searched again
 LARGE = (
     0.125  # of the lanes that are simulated in one batch, from which points are simulated before their slopes
 )
@@ -95,27 +96,65 @@ class Batch:
         return [self._result(k) for k in range(len(self.trials))]
 
     def _search_states(
-        self, raised: Sequence[int], theta: np.ndarray, initial: Tensor, nuisance: Tensor
+        self,
+        at: dict[int, NormalEquations],
+        theta: np.ndarray,
+        initial: Tensor,
+        nuisance: Tensor,
     ) -> list[int]:
-        """Search initial states at points that raise the cost; return the trials for which they lower it.
+        """Search initial states where few windows raise the cost; return the trials whose cost is then lower.
 
         Args:
-            raised: The trials.
+            at: Equations of the trials at their points; only their residuals are used.
             theta, initial, nuisance: Points of all trials; better initial states are written into them.
         """
-        raised = [k for k in raised if not self.vain[k]]
-        if not raised:
+        problem = self.problem
+        most = max(1, int(SEARCHED_SHARE * len(problem.windows)))
+        own, astray, costs = [], [], []
+        for k, there in at.items():
+            if self.vain[k]:
+                continue
+            before = self.normal[k]
+            assert before is not None
+            now = (there.residual**2).flatten(1).sum(1)
+            rise = (now - (before.residual**2).flatten(1).sum(1)).nan_to_num(torch.inf, posinf=torch.inf)
+            order = rise.argsort(descending=True, stable=True)
+            other = self._penalty(k, theta[k], nuisance[k]) + before.chi2 - self.cost[k]
+            # What the cost has risen without the windows that rise most.
+            rest = rise[order].flip(0).cumsum(0).flip(0)[1:] + other
+            needed = 1 + int((rest > 0.0).sum())
+            if needed <= min(most, len(rest)):
+                own.append(k)
+                costs.append(now)
+                astray.append(torch.isin(torch.arange(len(rise)), order[:needed]))
+        if not own:
             return []
-        own, windows = torch.as_tensor(raised), self.problem.windows
-        starts = initial[own], self.initial[own]
-        each = TOLERANCE / max(len(windows), 1)
-        states, costs = best_states(self.problem, theta[raised], starts, nuisance[own], SEARCHED, each)
+        cost, sought = torch.stack(costs), torch.stack(astray)
+        states = initial[torch.as_tensor(own)]
+        for start in (states.clone(), self.initial[torch.as_tensor(own)]):
+            columns = sought.any(0).nonzero()[:, 0]
+            if len(columns) == 0:
+                break
+            found, lowest = search_states(
+                problem.of_windows(columns),
+                theta[own],
+                start[:, columns],
+                nuisance[torch.as_tensor(own)],
+                SEARCHED,
+                TOLERANCE / max(len(problem.windows), 1),
+                ~sought[:, columns],
+            )
+            better = sought[:, columns] & (lowest < cost[:, columns])
+            states[:, columns] = torch.where(better[..., None], found, states[:, columns])
+            cost[:, columns] = torch.where(better, lowest, cost[:, columns])
+            before = torch.stack([(self.normal[k].residual**2).flatten(1).sum(1) for k in own])
+            sought &= cost > before
         lower = []
-        for k, state, cost in zip(raised, states, costs, strict=True):
-            if float(cost.sum()) + self._penalty(k, theta[k], nuisance[k]) <= self.cost[k]:
+        for k, state, total in zip(own, states, cost.sum(1).tolist(), strict=True):
+            self.vain[k] = not total + self._penalty(k, theta[k], nuisance[k]) <= self.cost[k]
+            if not self.vain[k]:
                 initial[k] = state
                 lower.append(k)
-            self.vain[k] = k not in lower
         return lower
 
     def _penalty(self, k: int, theta: np.ndarray, nuisance: Tensor) -> float:
@@ -138,7 +177,7 @@ class Batch:
         result = self._rejected(active, theta, initial, nuisance)
         result |= self._at_points([k for k in active if k not in result], varying, theta, initial, nuisance)
         raised = [k for k in active if self.normal[k] is not None and not result[k].cost <= self.cost[k]]
-        lower = self._search_states(raised, theta, initial, nuisance)
+        lower = self._search_states({k: result[k] for k in raised}, theta, initial, nuisance)
         result |= self._at_points(lower, varying, theta, initial, nuisance)
         return [result[k] for k in active]
 

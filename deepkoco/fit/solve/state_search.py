@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -100,6 +99,7 @@ def search_states(
     nuisance: Tensor,
     iterations: int,
     tolerance: float,
+    settled: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
     """Fit the initial states of K sets of parameters, in one batch.
 
@@ -110,12 +110,15 @@ def search_states(
         nuisance: (K, z) nuisances of the logs.
         iterations: Largest number of simulations.
         tolerance: Fall of the cost of a window below which its states are found.
+        settled: (K, W) True where no states are searched; None searches all.
 
     Returns:
-        States (K, W, S), costs (K, W).
+        States (K, W, S), costs (K, W); infinite costs where none are searched.
     """
     _, count, size = state.shape
     search = StateSearch.at(state)
+    if settled is not None:
+        search.settled = settled.clone()
     for iteration in range(iterations):
         moving = (~search.settled).nonzero()
         if len(moving) == 0:
@@ -150,26 +153,3 @@ def search_states(
         some.propose()
         search.put(rows, columns, some)
     return search.best, search.cost
-
-
-def best_states(
-    problem: ShootingProblem,
-    theta: np.ndarray,
-    starts: Sequence[Tensor],
-    nuisance: Tensor,
-    iterations: int,
-    tolerance: float,
-) -> tuple[Tensor, Tensor]:
-    """As :func:`search_states`, from several starts (K, W, S): each window keeps the best of them."""
-    times = len(starts)
-    states, costs = search_states(
-        problem,
-        np.tile(theta, (times, 1)),
-        torch.cat(list(starts)),
-        nuisance.repeat(times, 1),
-        iterations,
-        tolerance,
-    )
-    states, costs = states.unflatten(0, (times, len(theta))), costs.unflatten(0, (times, len(theta)))
-    pick = costs.nan_to_num(torch.inf).argmin(0)[None]
-    return states.gather(0, pick[..., None].expand(1, *states.shape[1:]))[0], costs.gather(0, pick)[0]
