@@ -24,7 +24,7 @@ from typing import TypeVar
 import numpy as np
 
 from deepkoco.diagnose.baseline import Baseline
-from deepkoco.diagnose.left_of_logs import Left, LeftOfLogs
+from deepkoco.diagnose.left_of_logs import NOISE, Left, LeftOfLogs
 from deepkoco.fit.data.own_steps import nearest_own_step
 from deepkoco.fit.data.windows import cut_windows, estimate_channels, moving
 from deepkoco.fit.solve.scaled_inverse import DivergedError
@@ -37,7 +37,6 @@ SOME = 16  # windows that decide
 # badly leaves hundreds with either law, and which of two refits ends lower says nothing of friction.
 NEAR = 10.0
 FAR = 1000.0  # noise variances, from which the logs say nothing of steps either
-NOISE = 1.2  # noise variances that a simulation leaves of its own logs
 LONGEST = 4.0  # step that a parabola may lead to, over the longest of its three
 SHARES = (0.5, 0.125)  # of the usual step, which are tried first
 DIGITS = 2  # of a step that is found
@@ -170,6 +169,10 @@ def _as_rigid(
             wanted = 0.5 * longest
     if wanted == usual.engine_step and not any(ask(share * usual.engine_step) for share in SHARES):
         return held, machine
+    # A step may have led to parameters that the machine's own fit had missed.
+    found[0.0] = min(held, left(machine), key=lambda own: own.cost)
+    if not any(own.cost < found[0.0].cost for own in found.values()):
+        return found[0.0], machine
     if len(found) > 2:
         wanted = _least({h: own.cost for h, own in found.items()})
     # A parabola from 0 to 1 ms tells 4 ms roughly, and the next ones better.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 from deepkoco.diagnose.baseline import Baseline, baseline_from, on_half_windows
@@ -11,12 +12,14 @@ from deepkoco.fit.data.halves import halved
 from deepkoco.fit.data.own_steps import in_steps_of
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem, Trial
+from deepkoco.fit.solve.fine_steps import fine_steps, with_steps_cut
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.systems import System
 
 # Fall of the cost, in noise variances that the better one leaves, from which it counts. Logs without rest and with much
 # noise leave both alike.
 MARGIN = 10.0
+NOISE = 1.2  # noise variances that a simulation leaves of its own logs
 DELAYS = ("actuation_delay(all).delay", "actuation_delay.delay")  # of several commands, and of one
 
 
@@ -46,6 +49,7 @@ class LeftOfLogs:
     def __init__(self, windows: Windows) -> None:
         self.windows = windows
         self._values: dict[str, float] = {}
+        self._parts = 1  # of a step of the machine
 
     def __call__(self, law: System) -> Left:
         """Refit the parameters of the robot, and say what is left.
@@ -54,7 +58,17 @@ class LeftOfLogs:
             DivergedError: The simulation diverges.
         """
         start, windows = self._start(law)
-        return self._kept(on_half_windows(start, windows, start.prior.names), start.prior.names)
+        names = start.prior.names
+        fit = on_half_windows(start, windows, names)
+        if law.engine is None and fit.chi2 > NOISE * max(windows.samples, 1):
+            # Steps that are too long for these logs leave something, too, and an engine's own are shorter.
+            problem_of, halves = partial(FitProblem, start.system), halved(windows)
+            parts = fine_steps(problem_of, halves, fit)
+            if parts > 1:
+                self._parts *= parts
+                trial = Trial("fine steps", names, start.prior, fit.values, fit.state, fit.nuisance)
+                fit = problem_of(with_steps_cut(halves, parts)).fit_one(trial)
+        return self._kept(fit, names)
 
     def late(self, law: System) -> Left:
         """As a call, with commands that act later than they are sent, by a time that is fitted too.
@@ -79,7 +93,9 @@ class LeftOfLogs:
 
     def _start(self, law: System) -> tuple[Baseline, Windows]:
         start = baseline_from(law, self.windows)
-        return replace(start, values={**start.values, **self._values}), in_steps_of(self.windows, law)
+        windows = in_steps_of(self.windows, law)
+        windows = with_steps_cut(windows, self._parts) if law.engine is None else windows
+        return replace(start, values={**start.values, **self._values}), windows
 
     def _kept(self, fit: Fit, names: tuple[str, ...]) -> Left:
         self._values.update({name: fit.values[name] for name in names})
