@@ -109,7 +109,8 @@ class Batch:
             theta, initial, nuisance: Points of all trials; better initial states are written into them.
         """
         problem = self.problem
-        most = max(1, int(SEARCHED_SHARE * len(problem.windows)))
+        windows = initial.shape[1]
+        most = max(1, int(SEARCHED_SHARE * windows))
         own, astray, costs = [], [], []
         for k, there in at.items():
             if self.vain[k]:
@@ -141,13 +142,13 @@ class Batch:
                 start[:, columns],
                 nuisance[torch.as_tensor(own)],
                 SEARCHED,
-                TOLERANCE / max(len(problem.windows), 1),
+                TOLERANCE / windows,
                 ~sought[:, columns],
             )
             better = sought[:, columns] & (lowest < cost[:, columns])
             states[:, columns] = torch.where(better[..., None], found, states[:, columns])
             cost[:, columns] = torch.where(better, lowest, cost[:, columns])
-            before = torch.stack([(self.normal[k].residual**2).flatten(1).sum(1) for k in own])
+            before = torch.stack([(self.normal[k].residual ** 2).flatten(1).sum(1) for k in own])
             sought &= cost > before
         lower = []
         for k, state, total in zip(own, states, cost.sum(1).tolist(), strict=True):
