@@ -3,62 +3,24 @@
 from dataclasses import replace
 from functools import partial
 
-import numpy as np
 import pytest
 import torch
 
 pytest.importorskip("mujoco")
 
-from deepkoco.fit.data.windows import cut_windows
 from deepkoco.fit.fit import FitProblem
-from deepkoco.fit.fit_types import Trial
 from deepkoco.fit.solve.fine_steps import UNSEEN, fine_steps, steps_to_compare, with_steps_cut
-from deepkoco.fit.solve.prior import Prior
-from deepkoco.logs.recording import Recording, Series
-from deepkoco.systems import ExtendedSystem, any_system
-from tests.oracle.mujoco_drives import make_drive
-from tests.oracle.mujoco_robots import random_arm
-
-EXACT = 64  # parts of a step of the unit
-RATE, SECONDS = 100.0, 6.0
+from tests.oracle.fine_arm import EXACT, fine_arm, fit_of, seen, simulated
 
 
 @pytest.fixture(scope="module")
 def unit(tmp_path_factory):
-    """A servo arm as a file, and windows of its motion, simulated in fine steps without noise."""
-    robot = random_arm(np.random.default_rng(3), 3, "position")
-    path = tmp_path_factory.mktemp("arm") / "arm.xml"
-    path.write_text(robot.xml)
-    system = ExtendedSystem(any_system(str(path)), ())
-    drive = make_drive(robot, np.random.default_rng(4), SECONDS, RATE)
-    t = np.arange(round(SECONDS * RATE)) / RATE
-    goals = np.array([drive(i, np.zeros(3)) for i in range(len(t))])
-    series = {c.name: Series(t, goals[:, k], c.unit, "command") for k, c in enumerate(system.commands)}
-    shown = {
-        c.name: Series(t, goals[:, k], c.unit, "measurement") for k, c in enumerate(system.measurements[:3])
-    }
-    windows = cut_windows([Recording(series | shown)], system, 1.0)
-    return system, windows.with_value(simulated(system, windows, EXACT))
-
-
-def fit_of(system, windows):
-    problem = FitProblem(system, windows)
-    values = dict.fromkeys(problem.names, 0.0) | {p.name: p.value for p in system.parameters}
-    return problem.fit_one(Trial("own", (), Prior.empty(), values, windows.state), 1)
-
-
-def simulated(system, windows, parts):
-    cut = with_steps_cut(windows, parts)
-    fit = fit_of(system, cut)
-    return torch.where(cut.valid, cut.value - fit.residual * cut.sample_sd, 0.0)
+    return fine_arm(tmp_path_factory.mktemp("arm"))
 
 
 def seen_by(unit, noise_sd):
-    """The windows as sensors with so much noise show them."""
     system, windows = unit
-    noise = torch.randn(windows.value.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
-    windows = replace(windows, noise=tuple(n._replace(sd=noise_sd) for n in windows.noise))
-    return system, windows.with_value(windows.value + noise_sd * noise)
+    return system, seen(windows, noise_sd)
 
 
 @pytest.mark.parametrize("noise_sd", [1e-4, 1e-5])
