@@ -11,7 +11,7 @@ from torch import Tensor
 
 from deepkoco.fit.solve.prior import Prior
 
-STUCK = 6  # steps in a row that lower no cost, after which a fit is stuck
+STUCK = 0.01  # share of its cost that a step still promises where a fit is stuck
 
 
 @dataclass(frozen=True)
@@ -61,6 +61,7 @@ class Fit:
         converged: Whether the last step was below the tolerance.
         exact: Whether covariance, information and curvature belong to these values, not to an earlier point of the fit.
         narrowed: Factor by which its prior is narrower, as a variance, than that of the other fits.
+        promised: Fall of the cost that a step without damping promises where the fit has ended.
     """
 
     name: str
@@ -78,6 +79,7 @@ class Fit:
     converged: bool = False
     exact: bool = True
     narrowed: float = 1.0
+    promised: float = 0.0
 
     @property
     def diverged(self) -> bool:
@@ -91,9 +93,8 @@ class Fit:
 
     @property
     def stuck(self) -> bool:
-        """Whether it ended without a minimum, after steps of any length along its slopes that raised the cost.
+        """Whether it ended without a minimum: a step still promises much, but none that was tried keeps it.
 
         Stick and slip can make a motion so sensitive that slopes hold over a tiny step only.
         """
-        last = self.history[-STUCK:]
-        return not self.converged and len(last) == STUCK and last[0] == last[-1]
+        return self.promised > STUCK * self.cost

@@ -23,7 +23,7 @@ from torch import Tensor
 from deepkoco.fit.fit_types import Fit, Trial
 from deepkoco.fit.shooting import ShootingProblem
 from deepkoco.fit.solve.frozen_slopes import FrozenSlopes, slopes_at, varying
-from deepkoco.fit.solve.levenberg_marquardt import LARGEST_DAMPING, TOLERANCE, Batch
+from deepkoco.fit.solve.levenberg_marquardt import LARGEST_DAMPING, LEAST_DAMPING, TOLERANCE, Batch
 from deepkoco.fit.solve.normal_equations import NormalEquations
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.fit.tangent import Tangent, simulated
@@ -70,7 +70,6 @@ class LazyBatch(Batch):
         ]
         self.current = np.zeros(count, dtype=bool)  # slopes are those of the best point
         self.renewing = np.full(count, known is None)
-        self.predicted = np.full(count, np.inf)
         self.left = np.zeros(count, dtype=int)
         self.whole = np.ones(count, dtype=bool)  # all slopes are computed again, not only those that matter
         self.partly = np.zeros(count, dtype=bool)  # the latter were computed at the best point
@@ -120,7 +119,7 @@ class LazyBatch(Batch):
             self.theta[k], self.initial[k], self.nuisance[k] = (part[k] for part in points)
             self.current[k], self.partly[k] = fresh, False
             if not first:
-                self.damping[k] = max(self.damping[k] * 0.1, 1e-9)
+                self.damping[k] = max(self.damping[k] * 0.1, LEAST_DAMPING)
                 if decrease < self._tolerance(k):
                     self._settle(k)
                 elif decrease < POOR * self.predicted[k]:

@@ -11,6 +11,7 @@ separate (1973).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -27,9 +28,9 @@ from deepkoco.fit.solve.state_search import search_states
 from deepkoco.fit.tangent import Tangent, batches, simulated
 
 TOLERANCE = 0.02  # a fit has converged when a step lowers its cost by less
-LARGEST_DAMPING = 1e8
+LEAST_DAMPING, LARGEST_DAMPING = 1e-9, 1e8
 SEARCHED = 8  # simulations of a search of the initial states, for each step
-SEARCHED_SHARE = 0.25  # of the windows, up to which their initial states are searched again
+KEPT = 0.25  # share of the fall that a step promises which other initial states must give
 LARGE = (
     0.125  # of the lanes that are simulated in one batch, from which points are simulated before their slopes
 )
@@ -57,6 +58,10 @@ class Batch:
         self.converged = np.zeros(count, dtype=bool)
         self.history: list[list[float]] = [[] for _ in trials]
         self.normal: list[NormalEquations | None] = [None] * count
+        self.predicted = np.full(count, np.inf)  # fall of the cost that the present step promises
+        self.saved = np.zeros(
+            count, dtype=bool
+        )  # a search of states has made the present step lower the cost
         self.vain = np.zeros(count, dtype=bool)  # a search of states has lowered no cost since the last step
 
     def run(self, iterations: int) -> list[Fit]:
@@ -74,7 +79,8 @@ class Batch:
                     self.normal[k], self.vain[k] = normal, False
                     self.theta[k], self.cost[k] = trial_theta[k], normal.cost
                     self.initial[k], self.nuisance[k] = trial_initial[k], trial_nuisance[k]
-                    self.damping[k] = max(self.damping[k] * 0.1, 1e-9)
+                    if not self.saved[k]:
+                        self.damping[k] = max(self.damping[k] * 0.1, LEAST_DAMPING)
                     self.converged[k] = decrease < self._tolerance(int(k))
                 else:
                     self.damping[k] *= 20.0
@@ -91,6 +97,7 @@ class Batch:
                         self.done[k] = True
                         continue
                     trial_theta[k], trial_initial[k], trial_nuisance[k], gain = step
+                    self.predicted[k] = gain
                     if gain < 0.25 * self._tolerance(int(k)):
                         self.done[k] = self.converged[k] = True
         return [self._result(k) for k in range(len(self.trials))]
@@ -108,53 +115,47 @@ class Batch:
             at: Equations of the trials at their points; only their residuals are used.
             theta, initial, nuisance: Points of all trials; better initial states are written into them.
         """
-        problem = self.problem
-        windows = initial.shape[1]
-        most = max(1, int(SEARCHED_SHARE * windows))
-        own, astray, costs = [], [], []
-        for k, there in at.items():
-            if self.vain[k]:
-                continue
-            before = self.normal[k]
-            assert before is not None
-            now = (there.residual**2).flatten(1).sum(1)
-            rise = (now - (before.residual**2).flatten(1).sum(1)).nan_to_num(torch.inf, posinf=torch.inf)
+        problem, windows = self.problem, initial.shape[1]
+        own = [k for k in at if not self.vain[k]]
+        sought, costs, before, most = [], [], [], []
+        for k in own:
+            normal = self.normal[k]
+            assert normal is not None
+            costs.append((at[k].residual ** 2).flatten(1).sum(1))
+            before.append((normal.residual**2).flatten(1).sum(1))
+            most.append(self.cost[k] - self._penalty(k, theta[k], nuisance[k]) - KEPT * self.predicted[k])
+            rise = (costs[-1] - before[-1]).nan_to_num(torch.inf, posinf=torch.inf)
             order = rise.argsort(descending=True, stable=True)
-            other = self._penalty(k, theta[k], nuisance[k]) + before.chi2 - self.cost[k]
             # What the cost has risen without the windows that rise most.
-            rest = rise[order].flip(0).cumsum(0).flip(0)[1:] + other
-            needed = 1 + int((rest > 0.0).sum())
-            if needed <= min(most, len(rest)):
-                own.append(k)
-                costs.append(now)
-                astray.append(torch.isin(torch.arange(len(rise)), order[:needed]))
+            rest = rise[order].flip(0).cumsum(0).flip(0)[1:] + float(before[-1].sum()) - most[-1]
+            sought.append(torch.isin(torch.arange(windows), order[: 1 + int((rest > 0.0).sum())]))
         if not own:
             return []
-        cost, sought = torch.stack(costs), torch.stack(astray)
-        states = initial[torch.as_tensor(own)]
-        for start in (states.clone(), self.initial[torch.as_tensor(own)]):
-            columns = sought.any(0).nonzero()[:, 0]
+        cost, these, states = torch.stack(costs), torch.stack(sought), initial[own]
+        for start in (states.clone(), self.initial[own]):
+            columns = these.any(0).nonzero()[:, 0]
             if len(columns) == 0:
                 break
+            left = torch.tensor(most) - torch.where(these, 0.0, cost).sum(1)
             found, lowest = search_states(
                 problem.of_windows(columns),
                 theta[own],
                 start[:, columns],
-                nuisance[torch.as_tensor(own)],
+                nuisance[own],
                 SEARCHED,
                 TOLERANCE / windows,
-                ~sought[:, columns],
+                these[:, columns],
+                left,
             )
-            better = sought[:, columns] & (lowest < cost[:, columns])
+            better = these[:, columns] & (lowest < cost[:, columns])
             states[:, columns] = torch.where(better[..., None], found, states[:, columns])
             cost[:, columns] = torch.where(better, lowest, cost[:, columns])
-            before = torch.stack([(self.normal[k].residual ** 2).flatten(1).sum(1) for k in own])
-            sought &= cost > before
+            these &= ~(cost <= torch.stack(before))
         lower = []
-        for k, state, total in zip(own, states, cost.sum(1).tolist(), strict=True):
-            self.vain[k] = not total + self._penalty(k, theta[k], nuisance[k]) <= self.cost[k]
+        for k, state, now, enough in zip(own, states, cost, most, strict=True):
+            self.vain[k] = not float(now.sum()) <= enough
             if not self.vain[k]:
-                initial[k] = state
+                initial[k], self.saved[k] = state, True
                 lower.append(k)
         return lower
 
@@ -177,6 +178,7 @@ class Batch:
         varying = np.array([self.problem.names.index(n) for n in self.problem.nuisances.varies], dtype=int)
         result = self._rejected(active, theta, initial, nuisance)
         result |= self._at_points([k for k in active if k not in result], varying, theta, initial, nuisance)
+        self.saved[active] = False
         raised = [k for k in active if self.normal[k] is not None and not result[k].cost <= self.cost[k]]
         lower = self._search_states({k: result[k] for k in raised}, theta, initial, nuisance)
         result |= self._at_points(lower, varying, theta, initial, nuisance)
@@ -240,8 +242,18 @@ class Batch:
         states, precision = slopes[len(columns) :], problem.nuisances.precision
         return NormalEquations.build(residual, slopes[:p], states, own, prior, offset, nuisance, precision)
 
-    def _step(self, k: int) -> tuple[np.ndarray, Tensor, Tensor, float]:
+    def _step(self, k: int, damping: float | None = None) -> tuple[np.ndarray, Tensor, Tensor, float]:
+        """Return the point of the next step of a trial, and the fall of the cost that it promises.
+
+        Args:
+            k: The trial.
+            damping: Relative addition to the diagonals; None for the trial's own.
+
+        Raises:
+            DivergedError: The reduced equations overflow.
+        """
         problem, normal = self.problem, self.normal[k]
+        damping = self.damping[k] if damping is None else damping
         assert normal is not None
         columns = self.columns[k]
         p = len(columns)
@@ -250,7 +262,7 @@ class Batch:
         held = np.zeros(p, dtype=bool)
         limit = np.zeros(p)
         while True:
-            move, states, gain = normal.solve(self.damping[k], held, limit)
+            move, states, gain = normal.solve(damping, held, limit)
             # Parameters that leave their bounds are set to them, and the step of the others is solved again.
             outside = ((move[:p] < low) | (move[:p] > high)) & ~held
             if not outside.any():
@@ -260,6 +272,13 @@ class Batch:
         theta = self.theta[k].copy()
         theta[columns] = np.clip(at + move[:p], problem.low[columns], problem.high[columns])
         return theta, self.initial[k] + states, self.nuisance[k] + torch.from_numpy(move[p:]), gain
+
+    def _promised(self, k: int) -> float:
+        """Return the fall of the cost that a step without damping promises at the best point of a trial."""
+        try:
+            return self._step(k, LEAST_DAMPING)[-1]
+        except DivergedError:
+            return math.inf
 
     def _result(self, k: int) -> Fit:
         normal, trial = self.normal[k], self.trials[k]
@@ -290,6 +309,7 @@ class Batch:
             full,
             self.history[k],
             bool(self.converged[k]),
+            promised=self._promised(k),
         )
 
     def _diverged(self, k: int) -> Fit:

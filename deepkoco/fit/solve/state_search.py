@@ -84,6 +84,13 @@ class StateSearch:
         self.damping = torch.where(better, self.damping * 0.1, self.damping * 20.0).clamp(1e-9, 1e9)
         self.settled = close | (self.damping > 1e6)
 
+    def promised(self) -> Tensor:
+        """Return the costs (K, W) to which a step without damping would lead if the slopes held."""
+        matrix = self.hessian + 1e-9 * torch.eye(self.best.shape[-1], dtype=torch.float64)
+        step, singular = torch.linalg.solve_ex(matrix, self.gradient)
+        fall = torch.where(singular == 0, (step * self.gradient).sum(-1), self.cost)
+        return (self.cost - fall).clamp_min(0.0)
+
     def propose(self) -> None:
         """Take a damped step from the best states."""
         diagonal = torch.diagonal(self.hessian, dim1=-2, dim2=-1)
@@ -99,7 +106,8 @@ def search_states(
     nuisance: Tensor,
     iterations: int,
     tolerance: float,
-    settled: Tensor | None = None,
+    sought: Tensor | None = None,
+    most: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
     """Fit the initial states of K sets of parameters, in one batch.
 
@@ -110,15 +118,17 @@ def search_states(
         nuisance: (K, z) nuisances of the logs.
         iterations: Largest number of simulations.
         tolerance: Fall of the cost of a window below which its states are found.
-        settled: (K, W) True where no states are searched; None searches all.
+        sought: (K, W) True where states are searched; None searches all.
+        most: (K,) sum of the costs of these windows at most: the search of a set ends where its slopes promise no less;
+            None for any.
 
     Returns:
         States (K, W, S), costs (K, W); infinite costs where none are searched.
     """
     _, count, size = state.shape
     search = StateSearch.at(state)
-    if settled is not None:
-        search.settled = settled.clone()
+    if sought is not None:
+        search.settled = ~sought
     for iteration in range(iterations):
         moving = (~search.settled).nonzero()
         if len(moving) == 0:
@@ -152,4 +162,8 @@ def search_states(
         some.judge(residual, tolerance)
         some.propose()
         search.put(rows, columns, some)
+        if most is not None:
+            least = search.promised()
+            least = least if sought is None else torch.where(sought, least, 0.0)
+            search.settled |= (~(least.sum(1) <= most))[:, None]
     return search.best, search.cost
