@@ -124,6 +124,9 @@ class Valley:
     def with_usual_steps(self):
         return self
 
+    def of_windows(self, index):
+        return self
+
     def nuisance_slopes(self, slopes):
         return slopes[:0]
 

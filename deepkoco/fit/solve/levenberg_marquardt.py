@@ -31,6 +31,7 @@ TOLERANCE = 0.02  # a fit has converged when a step lowers its cost by less
 LEAST_DAMPING, LARGEST_DAMPING = 1e-9, 1e8
 SEARCHED = 8  # simulations of a search of the initial states, for each step
 KEPT = 0.25  # share of the fall that a step promises which other initial states must give
+LIKELY = 0.75  # share of it from which a longer step may be tried after such a search
 LARGE = (
     0.125  # of the lanes that are simulated in one batch, from which points are simulated before their slopes
 )
@@ -79,7 +80,7 @@ class Batch:
                     self.normal[k], self.vain[k] = normal, False
                     self.theta[k], self.cost[k] = trial_theta[k], normal.cost
                     self.initial[k], self.nuisance[k] = trial_initial[k], trial_nuisance[k]
-                    if not self.saved[k]:
+                    if not self.saved[k] or decrease >= LIKELY * self.predicted[k]:
                         self.damping[k] = max(self.damping[k] * 0.1, LEAST_DAMPING)
                     self.converged[k] = decrease < self._tolerance(int(k))
                 else:
