@@ -24,14 +24,13 @@ from deepkoco.fit.shooting import ShootingProblem
 from deepkoco.fit.solve.covariance import covariance_of
 from deepkoco.fit.solve.normal_equations import NormalEquations
 from deepkoco.fit.solve.scaled_inverse import DivergedError, scaled_inverse
-from deepkoco.fit.solve.state_search import search_states
+from deepkoco.fit.solve.state_search import lower_states
 from deepkoco.fit.tangent import Tangent, batches, simulated
 
 TOLERANCE = 0.02  # a fit has converged when a step lowers its cost by less
 LEAST_DAMPING, LARGEST_DAMPING = 1e-9, 1e8
-SEARCHED = 8  # simulations of a search of the initial states, for each step
-KEPT = 0.25  # share of the fall that a step promises which other initial states must give
-LIKELY = 0.75  # share of it from which a longer step may be tried after such a search
+KEPT = 0.25  # share of the fall that a step promises, which it gives with other initial states
+LIKELY = 0.75  # share of it from which a longer step may follow then
 LARGE = (
     0.125  # of the lanes that are simulated in one batch, from which points are simulated before their slopes
 )
@@ -60,10 +59,8 @@ class Batch:
         self.history: list[list[float]] = [[] for _ in trials]
         self.normal: list[NormalEquations | None] = [None] * count
         self.predicted = np.full(count, np.inf)  # fall of the cost that the present step promises
-        self.saved = np.zeros(
-            count, dtype=bool
-        )  # a search of states has made the present step lower the cost
-        self.vain = np.zeros(count, dtype=bool)  # a search of states has lowered no cost since the last step
+        # Whether the present step lowers the cost with other initial states only, and whether none did since the last.
+        self.saved, self.vain = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
 
     def run(self, iterations: int) -> list[Fit]:
         trial_theta, trial_initial = self.theta.copy(), self.initial.clone()
@@ -104,60 +101,36 @@ class Batch:
         return [self._result(k) for k in range(len(self.trials))]
 
     def _search_states(
-        self,
-        at: dict[int, NormalEquations],
-        theta: np.ndarray,
-        initial: Tensor,
-        nuisance: Tensor,
+        self, at: dict[int, NormalEquations], theta: np.ndarray, initial: Tensor, nuisance: Tensor
     ) -> list[int]:
-        """Search initial states where few windows raise the cost; return the trials whose cost is then lower.
+        """Search initial states in the windows that raise the cost; return the trials whose cost is then lower.
+
+        After a search in vain, states are not searched again before a step has been taken.
 
         Args:
-            at: Equations of the trials at their points; only their residuals are used.
+            at: Equations of trials at points that raise their cost; only the residuals are used.
             theta, initial, nuisance: Points of all trials; better initial states are written into them.
         """
-        problem, windows = self.problem, initial.shape[1]
         own = [k for k in at if not self.vain[k]]
-        sought, costs, before, most = [], [], [], []
-        for k in own:
-            normal = self.normal[k]
-            assert normal is not None
-            costs.append((at[k].residual ** 2).flatten(1).sum(1))
-            before.append((normal.residual**2).flatten(1).sum(1))
-            most.append(self.cost[k] - self._penalty(k, theta[k], nuisance[k]) - KEPT * self.predicted[k])
-            rise = (costs[-1] - before[-1]).nan_to_num(torch.inf, posinf=torch.inf)
-            order = rise.argsort(descending=True, stable=True)
-            # What the cost has risen without the windows that rise most.
-            rest = rise[order].flip(0).cumsum(0).flip(0)[1:] + float(before[-1].sum()) - most[-1]
-            sought.append(torch.isin(torch.arange(windows), order[: 1 + int((rest > 0.0).sum())]))
         if not own:
             return []
-        cost, these, states = torch.stack(costs), torch.stack(sought), initial[own]
-        for start in (states.clone(), self.initial[own]):
-            columns = these.any(0).nonzero()[:, 0]
-            if len(columns) == 0:
-                break
-            left = torch.tensor(most) - torch.where(these, 0.0, cost).sum(1)
-            found, lowest = search_states(
-                problem.of_windows(columns),
-                theta[own],
-                start[:, columns],
-                nuisance[own],
-                SEARCHED,
-                TOLERANCE / windows,
-                these[:, columns],
-                left,
-            )
-            better = these[:, columns] & (lowest < cost[:, columns])
-            states[:, columns] = torch.where(better[..., None], found, states[:, columns])
-            cost[:, columns] = torch.where(better, lowest, cost[:, columns])
-            these &= ~(cost <= torch.stack(before))
-        lower = []
-        for k, state, now, enough in zip(own, states, cost, most, strict=True):
-            self.vain[k] = not float(now.sum()) <= enough
-            if not self.vain[k]:
-                initial[k], self.saved[k] = state, True
-                lower.append(k)
+        now = torch.stack([_of_windows(at[k]) for k in own]).nan_to_num(torch.inf, posinf=torch.inf)
+        before = torch.stack([_of_windows(self.normal[k]) for k in own])
+        penalty = np.array([self._penalty(k, theta[k], nuisance[k]) for k in own])
+        most = torch.from_numpy(self.cost[own] - penalty - KEPT * self.predicted[own])
+        states, costs = lower_states(
+            self.problem,
+            theta[own],
+            (initial[own], self.initial[own]),
+            nuisance[own],
+            (now, before),
+            most,
+            TOLERANCE / max(initial.shape[1], 1),
+        )
+        self.vain[own] = ~(costs.sum(1) <= most).numpy()
+        lower = [k for k in own if not self.vain[k]]
+        self.saved[lower] = True
+        initial[lower] = states[torch.from_numpy(~self.vain[own])]
         return lower
 
     def _penalty(self, k: int, theta: np.ndarray, nuisance: Tensor) -> float:
@@ -333,6 +306,12 @@ class Batch:
             curvature,
             self.history[k],
         )
+
+
+def _of_windows(normal: NormalEquations | None) -> Tensor:
+    """Cost (W,) of each window, without any penalty."""
+    assert normal is not None
+    return (normal.residual**2).flatten(1).sum(1)
 
 
 def _of_states(slopes: Tensor, residual: Tensor) -> NormalEquations:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -10,6 +11,8 @@ from torch import Tensor
 
 from deepkoco.fit.shooting import ShootingProblem
 from deepkoco.fit.tangent import MANY_STATES, state_steps
+
+ITERATIONS = 8  # of a search that lowers a cost
 
 
 @dataclass
@@ -167,3 +170,61 @@ def search_states(
             least = least if sought is None else torch.where(sought, least, 0.0)
             search.settled |= (~(least.sum(1) <= most))[:, None]
     return search.best, search.cost
+
+
+def lower_states(
+    problem: ShootingProblem,
+    theta: np.ndarray,
+    starts: Sequence[Tensor],
+    nuisance: Tensor,
+    costs: tuple[Tensor, Tensor],
+    most: Tensor,
+    tolerance: float,
+) -> tuple[Tensor, Tensor]:
+    """Search initial states of K sets in the fewest windows that keep the cost from falling as much as wanted.
+
+    A window whose cost then still is above that before is searched from the next start, too.
+
+    Args:
+        problem: The windows.
+        theta: (K, P) all parameters of each set.
+        starts: Initial states (K, W, S) from which a window is searched in turn; the first are those of the costs.
+        nuisance: (K, z) nuisances of the logs.
+        costs: Costs (K, W) with the first states, and before.
+        most: (K,) cost of all windows that is wanted at most; a search that promises no less ends.
+        tolerance: Fall of the cost of a window below which its states are found.
+
+    Returns:
+        The best states (K, W, S) of each window, and their costs (K, W).
+    """
+    (cost, before), states = costs, starts[0].clone()
+    order = (cost - before).argsort(dim=1, descending=True, stable=True)
+    rise = (cost - before).gather(1, order)
+    # By how much the cost is above the wanted one where the windows that rise most, one more each time, do not rise.
+    above = (
+        torch.nn.functional.pad(rise.flip(1).cumsum(1).flip(1)[:, 1:], (0, 1))
+        + (before.sum(1) - most)[:, None]
+    )
+    fewest = torch.where((above <= 0.0).any(1), (above <= 0.0).int().argmax(1) + 1, (rise > 0.0).sum(1))
+    sought = torch.zeros_like(cost, dtype=torch.bool)
+    sought.scatter_(1, order, torch.arange(cost.shape[1]) < fewest[:, None])
+    cost = cost.clone()
+    for start in starts:
+        columns = sought.any(0).nonzero()[:, 0]
+        if len(columns) == 0:
+            break
+        found, lowest = search_states(
+            problem.of_windows(columns),
+            theta,
+            start[:, columns],
+            nuisance,
+            ITERATIONS,
+            tolerance,
+            sought[:, columns],
+            most - torch.where(sought, 0.0, cost).sum(1),
+        )
+        better = lowest < cost[:, columns]
+        states[:, columns] = torch.where(better[..., None], found, states[:, columns])
+        cost[:, columns] = torch.where(better, lowest, cost[:, columns])
+        sought &= cost > before
+    return states, cost
