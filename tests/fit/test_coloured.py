@@ -81,8 +81,8 @@ def test_coloured_problem_filters_measurements_and_simulations_alike(problem):
 
 @pytest.mark.study
 def test_of_two_forces_with_one_mean_correlated_errors_tell_which_was_there():
-    # A force along the rail that no model has leaves slow errors, in which offset and asymmetry look alike. Dry friction
-    # can leave many minima; these two logs have one, whatever values a fit starts from.
+    # A force along the rail that no model has leaves slow errors, in which offset and asymmetry look alike. Dry
+    # friction can leave many minima; these two logs have one, whatever values a fit starts from.
     for seed, hidden, other in (
         (20_114, "torque_bias.effort", "asymmetry.share"),
         (20_111, "asymmetry.share", "torque_bias.effort"),
