@@ -1,5 +1,6 @@
 """Fits of windows of which one is not followed along a straight step."""
 
+from collections.abc import Sequence
 from types import SimpleNamespace
 
 import numpy as np
@@ -32,7 +33,7 @@ class OneStray:
         none=lambda: torch.zeros(0, dtype=torch.float64),
     )
 
-    def __init__(self, windows=range(WINDOWS), simulated=None):
+    def __init__(self, windows: Sequence[int] = range(WINDOWS), simulated: list[int] | None = None):
         self.index, self.simulated = list(windows), [] if simulated is None else simulated
         size = len(self.index)
         value = torch.zeros(size, 1, SAMPLES, dtype=torch.float64)
