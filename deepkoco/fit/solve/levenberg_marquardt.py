@@ -227,7 +227,7 @@ class Batch:
             DivergedError: The reduced equations overflow.
         """
         problem, normal = self.problem, self.normal[k]
-        damping = self.damping[k] if damping is None else damping
+        damping = float(self.damping[k]) if damping is None else damping
         assert normal is not None
         columns = self.columns[k]
         p = len(columns)
