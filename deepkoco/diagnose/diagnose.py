@@ -19,6 +19,7 @@ from deepkoco.diagnose.diagnosis import Diagnosis
 from deepkoco.diagnose.evidence.selection import DETECTION
 from deepkoco.diagnose.healthy import learn_as_simulated
 from deepkoco.diagnose.longer_windows import on_longer_windows
+from deepkoco.diagnose.lost_rows import with_lost_rows_if_shown
 from deepkoco.diagnose.probability.shadow import with_evidence
 from deepkoco.diagnose.progress import Progress, silent
 from deepkoco.diagnose.request import DiagnosisRequest
@@ -107,6 +108,7 @@ def diagnose(
         limit = TimeLimit(time_limit, began=began)
         if baseline is not None:
             check_learned(baseline, base)
+        recordings, healthy, holdout = with_lost_rows_if_shown((recordings, healthy, holdout), base, usual)
         base = as_engine_if_shown(healthy or recordings, base, usual, baseline)
         # Healthy logs show what the unit does, and their baseline follows it.
         chosen = window is not None or baseline is not None or healthy

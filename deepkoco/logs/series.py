@@ -35,6 +35,7 @@ class Series:
         unit: SI unit, for example "rad/s".
         kind: "command" or "measurement".
         unknown: (k, 2) float64 stretches [s] in which values were filled, or values of a command were left out.
+        guessed: (n,) True for samples that the log does not hold (:mod:`.lost_rows`); None where it holds all.
     """
 
     t: np.ndarray
@@ -42,6 +43,7 @@ class Series:
     unit: str
     kind: str
     unknown: np.ndarray | None = None
+    guessed: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "t", np.ascontiguousarray(self.t, dtype=np.float64))

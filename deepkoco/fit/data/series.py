@@ -22,10 +22,12 @@ class CommandSeries:
     Attributes:
         t: (n,) stamps [s].
         value: (n,), or (n, M) for M commands, in the commands' units.
+        guessed: (n,) True where a command was put in for a row that the log lost; None where none was.
     """
 
     t: np.ndarray
     value: np.ndarray
+    guessed: np.ndarray | None = None
 
     @property
     def changes(self) -> bool:
@@ -114,14 +116,16 @@ def channel_series(
         t = np.array([min(first for first, _ in ends), max(last for _, last in ends)])
         value = np.tile(defaults, (2, 1))
         return CommandSeries(t, value[:, 0] if value.shape[1] == 1 else value), series
+    guesses = [command.t[command.guessed] for command in logged if command.guessed is not None]
     if len(system.commands) == 1:
-        return CommandSeries(logged[0].t, logged[0].value), series
+        return CommandSeries(logged[0].t, logged[0].value, logged[0].guessed), series
     # Each command holds until its next stamp: on the union of all stamps they are one series.
     t = np.unique(np.concatenate([command.t for command in logged]))
     t = t[t >= max(command.t[0] for command in logged)]
     held = {name: command.hold(t) for name, command in zip(names, logged, strict=True)}
     columns = [held.get(command.name, np.full(len(t), command.default)) for command in system.commands]
-    return CommandSeries(t, np.column_stack(columns)), series
+    guessed = np.isin(t, np.concatenate(guesses)) if guesses else None
+    return CommandSeries(t, np.column_stack(columns), guessed), series
 
 
 def scatter_taken_out(

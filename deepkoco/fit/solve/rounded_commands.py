@@ -2,7 +2,7 @@
 
 A log with a current in whole mA does not hold the current that acted. The difference is a small random force that the
 unit felt and the simulation does not: integrated twice over a window, it moves a joint by more than a fine encoder
-shows, whatever the parameters are.
+shows, whatever the parameters are. Commands that were put in for rows that a log lost leave the same.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ EXACT = 0.01  # share of the sensors' noise to which they are fitted
 def with_rounded_commands(problem_of: Callable[[Windows], FitProblem], windows: Windows, fit: Fit) -> Windows:
     """Return windows whose noise contains what the rounding of the commands does to a simulation.
 
-    Roundings are drawn and simulated, and the initial states are fitted to the result. What then differs from the fit
-    is the part that no simulation can follow. A command may also be exact on its grid, so a channel gets no more noise
-    than the fit has left in it.
+    Roundings, and errors of commands in the place of lost rows, are drawn and simulated, and the initial states are
+    fitted to the result. What then differs from the fit is the part that no simulation can follow. A command may also
+    be exact on its grid, so a channel gets no more noise than the fit has left in it.
 
     Args:
         problem_of: Gives the problem of such windows.
@@ -44,10 +44,11 @@ def with_rounded_commands(problem_of: Callable[[Windows], FitProblem], windows: 
         fit: A fit of them.
 
     Returns:
-        The windows; the same ones where no command is rounded.
+        The windows; the same ones where no command is rounded or put in.
     """
     quanta = [_quanta(series) for series in windows.commands]
-    if not any(q.any() for q in quanta) or len(windows) == 0:
+    put_in = any(series.guessed is not None and series.guessed.any() for series in windows.commands)
+    if not (put_in or any(q.any() for q in quanta)) or len(windows) == 0:
         return windows
     theta = np.array([[float(fit.values[n]) for n in problem_of(windows).names]])
 
@@ -84,9 +85,33 @@ def _quanta(series: CommandSeries) -> np.ndarray:
 def _unrounded(series: CommandSeries, quanta: np.ndarray, rng: np.random.Generator) -> CommandSeries:
     """Return commands that the log might have rounded to these; a value that is held has one rounding."""
     columns = np.atleast_2d(series.value.T)
+    guessed = series.guessed if series.guessed is not None and series.guessed.any() else None
     result = []
     for column, quantum in zip(columns, quanta, strict=True):
         held = np.append(0, np.cumsum(np.diff(column) != 0.0))
-        result.append(column + quantum * rng.uniform(-0.5, 0.5, held[-1] + 1)[held])
+        other = column + quantum * rng.uniform(-0.5, 0.5, held[-1] + 1)[held]
+        result.append(other if guessed is None else other + _errors_of_guesses(column, guessed, rng))
     value = np.stack(result, axis=-1)
     return replace(series, value=value[:, 0] if series.value.ndim == 1 else value)
+
+
+def _errors_of_guesses(column: np.ndarray, guessed: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Draw errors (n,) of values that lie between those of their neighbours, as known values show them.
+
+    Where as many known values in a row were left out as a gap has lost, the values between would miss them by these.
+    """
+    errors = np.zeros(len(column))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], guessed, [False]]).astype(int)))
+    starts, sizes = edges[::2], edges[1::2] - edges[::2]
+    unknown = np.append(0, np.cumsum(guessed))
+    for size in np.unique(sizes):
+        span = int(size) + 2
+        begins = np.arange(len(column) - span + 1)
+        begins = begins[unknown[begins + span] == unknown[begins]]
+        if len(begins) == 0:
+            continue
+        for start in starts[sizes == size]:
+            begin = int(rng.choice(begins))
+            known = column[begin : begin + span]
+            errors[start : start + size] = (known - np.linspace(known[0], known[-1], span))[1:-1]
+    return errors
