@@ -19,6 +19,7 @@ from deepkoco.fit.simulate.push import Push
 from deepkoco.fit.solve.dispersion import dispersion
 from deepkoco.fit.solve.fine_steps import MOST, STEP_ROUNDS, fine_steps, with_steps_cut
 from deepkoco.fit.solve.gauges import Gauge, scale_gauges
+from deepkoco.fit.solve.guessed_commands import with_lost_rows_fitted
 from deepkoco.fit.solve.lazy_batch import MANY
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.solve.residual_noise import with_sharp_noise
@@ -284,7 +285,8 @@ def few_windows(windows: Windows, parameters: int) -> np.ndarray:
 def refit_sharply(start: Baseline, windows: Windows, first: Fit | None = None) -> tuple[Windows, Fit]:
     """Refit, estimate the noise from the residuals, and refit once more under that noise, with steps fine enough.
 
-    Where more than noise is left, the noise then contains what the rounding of the logged commands does.
+    Where more than noise is left, commands in the place of lost rows are fitted, and the noise then contains what the
+    rounding of the logged commands does.
 
     Args:
         start: Prior and present values.
@@ -299,6 +301,7 @@ def refit_sharply(start: Baseline, windows: Windows, first: Fit | None = None) -
     """
     fit = refit(start, windows, first=first)
     windows = with_sharp_noise(windows, fit)
+    windows, fit = with_lost_rows_fitted(partial(FitProblem, start.system), windows, fit, start.prior)
     left = MOST
     for _ in range(STEP_ROUNDS):
         parts = fine_steps(partial(FitProblem, start.system), windows, fit, left)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from deepkoco.diagnose.tempered import refit_to_windows
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.fit.solve.fine_steps import with_steps_cut
+from deepkoco.fit.solve.guessed_commands import guesses_in, with_lost_rows_fitted
 
 PATIENCE = 40  # iterations of a refit in which some parameters are kept
 ROUGHLY = 12  # the same where they are far off, so that it can only be bad
@@ -94,6 +96,11 @@ def refit_to_logs(learned: Baseline, data: Data) -> Refitted:
         usual = float(np.sqrt(np.mean(np.square(train.stamp_sd))))
         clocks = train.stamp_sd if data.own else (usual,) * len(held.commands)
         held = replace(held, stamp_sd=clocks)
+    if held is not None and guesses_in(held) and not guesses_in(train):
+        # What acted in a lost row is no more known of held-out windows than their initial states are.
+        problem_of = partial(FitProblem, start.system)
+        states = problem_of(held).evaluate(reference.values)
+        held, _ = with_lost_rows_fitted(problem_of, held, states, start.prior)
     if held is not None and data.own:
         train, held, reference = train_on_pushed(start, train, held, reference)
     return Refitted(

@@ -18,6 +18,7 @@ from deepkoco.fit.data.series import CommandSeries
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import FitProblem
 from deepkoco.fit.fit_types import Fit
+from deepkoco.fit.solve.guessed_commands import errors_of_guesses, guesses_in, runs_of
 from deepkoco.logs.quantum import quantum_of
 
 # Levels of a command from which its grid is taken for that of a log. Fewer are levels that somebody chose, and the log
@@ -47,8 +48,7 @@ def with_rounded_commands(problem_of: Callable[[Windows], FitProblem], windows: 
         The windows; the same ones where no command is rounded or put in.
     """
     quanta = [_quanta(series) for series in windows.commands]
-    put_in = any(series.guessed is not None and series.guessed.any() for series in windows.commands)
-    if not (put_in or any(q.any() for q in quanta)) or len(windows) == 0:
+    if not (guesses_in(windows) or any(q.any() for q in quanta)) or len(windows) == 0:
         return windows
     theta = np.array([[float(fit.values[n]) for n in problem_of(windows).names]])
 
@@ -101,17 +101,7 @@ def _errors_of_guesses(column: np.ndarray, guessed: np.ndarray, rng: np.random.G
     Where as many known values in a row were left out as a gap has lost, the values between would miss them by these.
     """
     errors = np.zeros(len(column))
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], guessed, [False]]).astype(int)))
-    starts, sizes = edges[::2], edges[1::2] - edges[::2]
-    unknown = np.append(0, np.cumsum(guessed))
-    for size in np.unique(sizes):
-        span = int(size) + 2
-        begins = np.arange(len(column) - span + 1)
-        begins = begins[unknown[begins + span] == unknown[begins]]
-        if len(begins) == 0:
-            continue
-        for start in starts[sizes == size]:
-            begin = int(rng.choice(begins))
-            known = column[begin : begin + span]
-            errors[start : start + size] = (known - np.linspace(known[0], known[-1], span))[1:-1]
+    for start, size in runs_of(guessed):
+        if len(known := errors_of_guesses(column, guessed, size)):
+            errors[start : start + size] = rng.choice(known)
     return errors
