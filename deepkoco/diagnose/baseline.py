@@ -285,8 +285,8 @@ def few_windows(windows: Windows, parameters: int) -> np.ndarray:
 def refit_sharply(start: Baseline, windows: Windows, first: Fit | None = None) -> tuple[Windows, Fit]:
     """Refit, estimate the noise from the residuals, and refit once more under that noise, with steps fine enough.
 
-    Where more than noise is left, commands in the place of lost rows are fitted, and the noise then contains what the
-    rounding of the logged commands does.
+    Commands in the place of lost rows are fitted with it. Where more than noise is left, the noise then contains what
+    the rounding of the logged commands does.
 
     Args:
         start: Prior and present values.

@@ -21,7 +21,7 @@ from deepkoco.diagnose.evidence.priors import prior_with
 from deepkoco.diagnose.evidence.selection import FURTHER
 from deepkoco.diagnose.explanation import Explanation, of_mean
 from deepkoco.diagnose.little_of_all import beside
-from deepkoco.diagnose.refitted import Refitted
+from deepkoco.diagnose.refitted import Refitted, data_with_lost_rows_fitted
 from deepkoco.diagnose.request import DiagnosisRequest
 from deepkoco.diagnose.residuals.residuals import dispersion
 from deepkoco.diagnose.weighed import detection_of
@@ -92,20 +92,22 @@ def _fitted_again(request: DiagnosisRequest, explanation: Explanation) -> Explan
     base, found, data = explanation.base, explanation.found, request.data
     start = base.start
     prior = prior_with(base.problem, start, found.accepted, found.final.values)
-    problem = FitProblem(start.system, data.train)
+    problem_of = partial(FitProblem, start.system)
+    problem = problem_of(data.train)
     final = _refit(problem, found.final, prior.names, prior)
+    if not final.diverged:
+        data, final = data_with_lost_rows_fitted(problem_of, data, final, prior)
+        problem = problem_of(data.train)
     most = MOST
     for _ in range(STEP_ROUNDS):
         # An error of a step adds up for longer, too.
-        parts = (
-            1 if final.diverged else fine_steps(partial(FitProblem, start.system), data.train, final, most)
-        )
+        parts = 1 if final.diverged else fine_steps(problem_of, data.train, final, most)
         most //= parts
         if parts == 1:
             break
         held = None if data.held is None else with_steps_cut(data.held, parts)
         data = replace(data, train=with_steps_cut(data.train, parts), held=held)
-        problem = FitProblem(start.system, data.train)
+        problem = problem_of(data.train)
         final = _refit(problem, final, prior.names, prior)
     if final.diverged:
         return None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -17,6 +17,7 @@ from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.fit.solve.fine_steps import with_steps_cut
 from deepkoco.fit.solve.guessed_commands import guesses_in, with_lost_rows_fitted
+from deepkoco.fit.solve.prior import Prior
 
 PATIENCE = 40  # iterations of a refit in which some parameters are kept
 ROUGHLY = 12  # the same where they are far off, so that it can only be bad
@@ -68,6 +69,28 @@ def with_parameters_kept(base: Refitted, names: Sequence[str]) -> Refitted:
     return base if fit.diverged else replace(base, reference=base.problem.recentred(fit))
 
 
+def data_with_lost_rows_fitted(
+    problem_of: Callable[[Windows], FitProblem], data: Data, fit: Fit, prior: Prior
+) -> tuple[Data, Fit]:
+    """Fit the commands in the place of lost rows of training windows, and those of held-out windows.
+
+    What acted in a lost row is no more known of held-out windows than their initial states are.
+
+    Args:
+        problem_of: Gives the problem of such windows.
+        data: The windows.
+        fit: A fit of the training windows.
+        prior: Prior of its free parameters.
+    """
+    train, fit = with_lost_rows_fitted(problem_of, data.train, fit, prior)
+    held = data.held
+    if held is not None and len(held) > 0 and guesses_in(held):
+        states = problem_of(held).evaluate(fit.values)
+        if not states.diverged:
+            held, _ = with_lost_rows_fitted(problem_of, held, states, prior)
+    return replace(data, train=train, held=held), fit
+
+
 def refit_to_logs(learned: Baseline, data: Data) -> Refitted:
     """Refit a baseline to the training windows.
 
@@ -96,11 +119,11 @@ def refit_to_logs(learned: Baseline, data: Data) -> Refitted:
         usual = float(np.sqrt(np.mean(np.square(train.stamp_sd))))
         clocks = train.stamp_sd if data.own else (usual,) * len(held.commands)
         held = replace(held, stamp_sd=clocks)
-    if held is not None and guesses_in(held) and not guesses_in(train):
-        # What acted in a lost row is no more known of held-out windows than their initial states are.
-        problem_of = partial(FitProblem, start.system)
-        states = problem_of(held).evaluate(reference.values)
-        held, _ = with_lost_rows_fitted(problem_of, held, states, start.prior)
+    data = replace(data, train=train, held=held)
+    data, reference = data_with_lost_rows_fitted(
+        partial(FitProblem, start.system), data, reference, start.prior
+    )
+    train, held = data.train, data.held
     if held is not None and data.own:
         train, held, reference = train_on_pushed(start, train, held, reference)
     return Refitted(

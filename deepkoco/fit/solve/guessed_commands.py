@@ -36,7 +36,7 @@ def guesses_in(windows: Windows) -> bool:
 def with_lost_rows_fitted(
     problem_of: Callable[[Windows], FitProblem], windows: Windows, fit: Fit, prior: Prior
 ) -> tuple[Windows, Fit]:
-    """Fit the commands in the place of lost rows with all that a fit frees, where it leaves more than noise.
+    """Fit the commands in the place of lost rows with all that a fit frees.
 
     Args:
         problem_of: Gives the problem of such windows.
@@ -47,8 +47,8 @@ def with_lost_rows_fitted(
     Returns:
         The windows, and their fit. Where no more than noise is left, the commands count as known.
     """
-    given, most = windows, NOISE * max(windows.samples, 1)
-    if not guesses_in(windows) or fit.chi2 <= most:
+    given = windows
+    if not guesses_in(windows):
         return windows, fit
     for _ in range(ROUNDS):
         other, begin = with_guesses_fitted(problem_of, windows, given, fit, prior)
@@ -59,7 +59,7 @@ def with_lost_rows_fitted(
         windows, fit = other, again
         if not falls:
             break
-    if fit.chi2 <= most:
+    if fit.chi2 <= NOISE * max(windows.samples, 1):
         windows = replace(windows, commands=tuple(replace(c, guessed=None) for c in windows.commands))
     return windows, fit
 

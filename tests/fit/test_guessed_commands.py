@@ -1,0 +1,1 @@
+"""Commands of lost rows, fitted as states of their windows."""
