@@ -19,7 +19,7 @@ from deepkoco.diagnose.diagnosis import Diagnosis
 from deepkoco.diagnose.evidence.selection import DETECTION
 from deepkoco.diagnose.healthy import learn_as_simulated
 from deepkoco.diagnose.longer_windows import on_longer_windows
-from deepkoco.diagnose.lost_rows import with_lost_rows_if_shown
+from deepkoco.diagnose.lost_rows import with_lost_rows_beside
 from deepkoco.diagnose.probability.shadow import with_evidence
 from deepkoco.diagnose.progress import Progress, silent
 from deepkoco.diagnose.request import DiagnosisRequest
@@ -34,6 +34,7 @@ from deepkoco.diagnose.window_choice import followed_length, length_for_enough
 from deepkoco.fit.data.windows import window_length
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.fit.threads import one_thread
+from deepkoco.logs.lost_rows import with_lost_rows
 from deepkoco.logs.read_logs import Logs, read_logs
 from deepkoco.systems import ExtendedSystem, System, any_system
 from deepkoco.systems.stretchable import stretchable_if_asked
@@ -90,7 +91,9 @@ def diagnose(
     """
     began = time.perf_counter()
     base = stretchable_if_asked(any_system(system), only)
-    recordings, healthy, holdout = (read_logs(logs, base) for logs in (recordings, healthy, holdout))
+    recordings, healthy, holdout = (
+        [with_lost_rows(log) for log in read_logs(logs, base)] for logs in (recordings, healthy, holdout)
+    )
     plain = base.base if isinstance(base, ExtendedSystem) else base
     all_causes, measured = catalogue(plain, regrouping=True), measured_channels([*recordings, *holdout])
     causes = (
@@ -108,7 +111,6 @@ def diagnose(
         limit = TimeLimit(time_limit, began=began)
         if baseline is not None:
             check_learned(baseline, base)
-        recordings, healthy, holdout = with_lost_rows_if_shown((recordings, healthy, holdout), base, usual)
         base = as_engine_if_shown(healthy or recordings, base, usual, baseline)
         # Healthy logs show what the unit does, and their baseline follows it.
         chosen = window is not None or baseline is not None or healthy
@@ -152,6 +154,7 @@ def diagnose(
 def _diagnosed(request: DiagnosisRequest, start: Baseline, unfitted: Sequence[str] = ()) -> Diagnosis:
     """Diagnose from one baseline: refit it and select causes, judge them, and build the result."""
     explanation = explained(request, start, unfitted)
+    request, explanation = with_lost_rows_beside(request, explanation, unfitted)
     request, explanation = the_other_way(request, explanation, unfitted)
     request, explanation = on_longer_windows(request, explanation)
     judgement = judge(request, explanation)

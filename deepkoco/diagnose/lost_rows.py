@@ -1,59 +1,68 @@
-"""Whether gaps between regular rows are rows that a log lost, or turns that a loop skipped.
+"""Commands in the rows that a log lost, fitted beside the causes that explain it.
 
-A command acted in a row that is lost, and another one holds on in the log. In a turn that the loop skipped, the command
-before held on. The log decides: gaps are lost rows where a refit with commands between those of their neighbours leaves
-less than one with commands that hold.
+What acted in a lost row is fitted with the parameters where the simulation leaves no more than noise then
+(:mod:`..fit.solve.guessed_commands`). A fault hides that, so the commands are fitted again beside the causes that were
+found, and the causes are asked for once more.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
 
-import numpy as np
-
-from deepkoco.diagnose.as_engine import SOME
-from deepkoco.diagnose.left_of_logs import LeftOfLogs
-from deepkoco.fit.data.windows import cut_windows, estimate_channels, moving
+from deepkoco.diagnose.causes import Cause
+from deepkoco.diagnose.data import Data
+from deepkoco.diagnose.evidence.priors import prior_with
+from deepkoco.diagnose.explanation import Explanation
+from deepkoco.diagnose.refitted import Refitted, data_with_lost_rows_fitted
+from deepkoco.diagnose.request import DiagnosisRequest
+from deepkoco.diagnose.weighed import explained
+from deepkoco.fit.fit import Fit, FitProblem, Trial
+from deepkoco.fit.solve.guessed_commands import guesses_in
 from deepkoco.fit.solve.scaled_inverse import DivergedError
-from deepkoco.logs.lost_rows import with_lost_rows
-from deepkoco.logs.recording import Recording
-from deepkoco.systems import System
 
 
-def with_lost_rows_if_shown(
-    groups: Sequence[Sequence[Recording]], system: System, length: float
-) -> list[Sequence[Recording]]:
-    """Return groups of logs of one recorder, with commands in the rows that they lost.
+def with_lost_rows_beside(
+    request: DiagnosisRequest, explanation: Explanation, unfitted: Sequence[str] = ()
+) -> tuple[DiagnosisRequest, Explanation]:
+    """Explain the logs again, with commands in their lost rows that were fitted beside the causes that were found.
 
     Args:
-        groups: Logs to explain, and others, of the same unit.
-        system: The system.
-        length: Of the windows that decide [s].
+        request: The logs, and the causes to try.
+        explanation: What explains them.
+        unfitted: What could not be fitted so far, in words.
+
+    Returns:
+        Both as they are where these commands are known, or where more than noise is left with them.
     """
-    filled = [[with_lost_rows(recording) for recording in group] for group in groups]
-    held, other = [], []
-    for group, new in zip(groups, filled, strict=True):
-        changed = [(a, b) for a, b in zip(group, new, strict=True) if a is not b]
-        held += [a for a, _ in changed]
-        other += [b for _, b in changed]
-    if not held:
-        return list(groups)
-    try:
-        left = [_left(logs, system, length) for logs in (held, other)]
-    except DivergedError:
-        return list(groups)
-    return list(filled) if left[1] < left[0] else list(groups)
+    base, found = explanation.base, explanation.found
+    if not (guesses_in(request.data.train) and guesses_in(base.train)):
+        return request, explanation
+    if not request.limit.allows("commands of lost rows beside the causes"):
+        return request, explanation
+    beside = [(found.final, found.accepted)]
+    if not found.accepted and explanation.first.candidates:
+        beside.append((explanation.first.best.fit, (explanation.first.best.cause,)))
+    for fit, causes in beside:
+        data = _data_beside(request.data, base, fit, causes)
+        if data is not None:
+            request.progress("again, with the commands of lost rows")
+            other = replace(request, data=data)
+            try:
+                return other, explained(other, base.learned, unfitted)
+            except DivergedError:
+                return request, explanation
+    return request, explanation
 
 
-def _left(recordings: Sequence[Recording], system: System, length: float) -> float:
-    """What the simulation of a machine leaves of some windows of logs, in variances of the noise.
-
-    Raises:
-        DivergedError: The simulation diverges.
-    """
-    windows = cut_windows(recordings, system, length, estimate_channels(recordings, system))
-    windows = windows.take(moving(windows)) if len(windows) else windows
-    if len(windows) == 0:
-        return 0.0
-    windows = windows.take(np.unique(np.linspace(0, len(windows) - 1, SOME).astype(int)))
-    return LeftOfLogs(windows)(system).cost
+def _data_beside(data: Data, base: Refitted, fit: Fit, causes: Sequence[Cause]) -> Data | None:
+    """The windows with the commands of lost rows that leave only noise beside some causes; None where none do."""
+    problem_of = partial(FitProblem, base.start.system)
+    prior = prior_with(base.problem, base.start, causes, fit.values)
+    state = problem_of(data.train).evaluate(fit.values).state
+    again = problem_of(data.train).fit([Trial("lost rows", prior.names, prior, fit.values, state)])[0]
+    if again.diverged:
+        return None
+    data, _ = data_with_lost_rows_fitted(problem_of, data, again, prior)
+    return None if guesses_in(data.train) else data

@@ -20,8 +20,8 @@ def with_lost_rows(recording: Recording) -> Recording:
     """Return a log with commands in the rows that it lost: values between those of the neighbours.
 
     A loop logs its command and its measurements in one row at regular times. Where a row is missing, a command acted
-    that nobody wrote down. A loop that skipped a turn leaves the same gap, but the command before then held on: the log
-    alone does not tell which.
+    that nobody wrote down. A loop that skipped a turn leaves the same gap, but the command before then held on: which
+    of them was so, only the motion can tell.
 
     Args:
         recording: The log.

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from deepkoco.fit.data.series import CommandSeries
-from deepkoco.fit.data.windows import Windows
+from deepkoco.fit.data.windows import HISTORY, Windows
 from deepkoco.fit.fit import FitProblem
 from deepkoco.fit.fit_types import Fit, Trial
 from deepkoco.fit.solve.levenberg_marquardt import LEAST_DAMPING
@@ -25,7 +25,7 @@ from deepkoco.fit.tangent import Tangent, simulated
 ROUNDS = 6  # of steps, each with a fit of all else
 LITTLE = 1e-3  # share by which a round lowers chi2 after which there is no other
 NOISE = 1.2  # variances of the noise that are left where nothing is missing
-STEP = 0.1  # of a guess for its slope, in standard deviations of its error
+STEP = 0.1  # of a guess for its slope, in sizes of its error
 
 
 def guesses_in(windows: Windows) -> bool:
@@ -36,7 +36,7 @@ def guesses_in(windows: Windows) -> bool:
 def with_lost_rows_fitted(
     problem_of: Callable[[Windows], FitProblem], windows: Windows, fit: Fit, prior: Prior
 ) -> tuple[Windows, Fit]:
-    """Fit the commands in the place of lost rows with all that a fit frees.
+    """Fit the commands in the place of lost rows with all that a fit frees, where only noise is left then.
 
     Args:
         problem_of: Gives the problem of such windows.
@@ -45,23 +45,24 @@ def with_lost_rows_fitted(
         prior: Prior of its free parameters.
 
     Returns:
-        The windows, and their fit. Where no more than noise is left, the commands count as known.
+        The windows, with commands that count as known, and their fit; both as they are where more than noise is left.
     """
-    given = windows
     if not guesses_in(windows):
         return windows, fit
+    other, again = windows, fit
     for _ in range(ROUNDS):
-        other, begin = with_guesses_fitted(problem_of, windows, given, fit, prior)
-        again = problem_of(other).fit([begin])[0]
-        if again.diverged or not again.chi2 < fit.chi2:
+        moved, begin = with_guesses_fitted(problem_of, other, windows, again, prior)
+        lower = problem_of(moved).fit([begin])[0]
+        if lower.diverged or not lower.chi2 < again.chi2:
             break
-        falls = fit.chi2 - again.chi2 > LITTLE * again.chi2
-        windows, fit = other, again
+        falls = again.chi2 - lower.chi2 > LITTLE * lower.chi2
+        other, again = moved, lower
         if not falls:
             break
-    if fit.chi2 <= NOISE * max(windows.samples, 1):
-        windows = replace(windows, commands=tuple(replace(c, guessed=None) for c in windows.commands))
-    return windows, fit
+    # What commands explain of a fault would be missing when a cause is asked for.
+    if again.chi2 > NOISE * max(windows.samples, 1):
+        return windows, fit
+    return replace(other, commands=tuple(replace(c, guessed=None) for c in other.commands)), again
 
 
 def with_guesses_fitted(
@@ -69,8 +70,8 @@ def with_guesses_fitted(
 ) -> tuple[Windows, Trial]:
     """Take one Gauss-Newton step of the commands in the place of lost rows, with all that a fit frees.
 
-    The error of a guess has the standard deviation of those that the known commands show. It is compared with what the
-    fit leaves, which may be more than noise: a model error is then not explained by these commands.
+    The prior of the error of a guess is compared with what the fit leaves, which may be more than noise: a model error
+    is then not explained by these commands.
 
     Args:
         problem_of: Gives the problem of such windows.
@@ -133,13 +134,16 @@ def with_guesses_fitted(
     values = {**fit.values, **dict(zip(fit.free, map(float, there), strict=True))}
     steps = states[:, size:].unflatten(1, (count, lanes)).numpy()
     commands = list(windows.commands)
+    told = (guesses**2).sum(-1).T.unflatten(1, (count, lanes)).numpy()
     for log, series in enumerate(commands):
-        total, times = np.zeros(errors[log].shape), np.zeros(len(series.t))
+        total, weight = np.zeros(errors[log].shape), np.full(errors[log].shape, 1e-30)
         for w in np.flatnonzero(windows.log == log):
+            # A late command of one window acts in the next one.
             inside = _inside(windows, series, int(w))
-            total[inside] += steps[w].T[ranks[log][inside] % lanes]
-            times[inside] += 1.0
-        step = errors[log] * total / np.maximum(times, 1.0)[:, None]
+            own = ranks[log][inside] % lanes
+            total[inside] += (told[w] * steps[w]).T[own]
+            weight[inside] += told[w].T[own]
+        step = errors[log] * total / weight
         commands[log] = replace(series, value=series.value + (step[:, 0] if series.value.ndim == 1 else step))
     begin = replace(begin, values=values, state=fit.state + states[:, :size])
     return replace(windows, commands=tuple(commands)), begin
@@ -148,7 +152,7 @@ def with_guesses_fitted(
 def _already(
     windows: Windows, given: Windows, ranks: list[np.ndarray], lanes: int, errors: list[np.ndarray]
 ) -> Tensor:
-    """By how many standard deviations the guesses (W, M lanes) of each window are off their first values."""
+    """By how many sizes of their errors the guesses (W, M lanes) of each window are off their first values."""
     count = errors[0].shape[1]
     result = np.zeros((len(windows), count, lanes))
     for w in range(len(windows)):
@@ -177,14 +181,21 @@ def errors_of_guesses(column: np.ndarray, guessed: np.ndarray, size: int) -> np.
 
 
 def _errors(series: CommandSeries) -> np.ndarray:
-    """Standard deviations (n, M) of the errors of guesses; 0 for commands that are known."""
+    """Sizes (n, M) of the errors of guesses; 0 for commands that are known.
+
+    A command jumps seldom, and then its row may be the one that was lost: the largest error that known commands show
+    counts. The loop may also have skipped its turn, so that the command before held on.
+    """
     columns = np.atleast_2d(series.value.T)
     result = np.zeros((len(series.t), len(columns)))
     if series.guessed is not None:
         for m, column in enumerate(columns):
             for start, size in runs_of(series.guessed):
                 errors = errors_of_guesses(column, series.guessed, size)
-                result[start : start + size, m] = np.sqrt((errors**2).mean(0)) if len(errors) else 0.0
+                largest = np.abs(errors).max(0) if len(errors) else 0.0
+                result[start : start + size, m] = largest + np.abs(
+                    column[start : start + size] - column[start - 1]
+                )
     return result
 
 
@@ -206,17 +217,17 @@ def _lanes(windows: Windows) -> tuple[list[np.ndarray], int]:
 
 
 def _inside(windows: Windows, series: CommandSeries, w: int) -> np.ndarray:
-    """(n,) True for the guesses that begin in a window."""
+    """(n,) True for the guesses that may act in a window."""
     if series.guessed is None:
         return np.zeros(len(series.t), dtype=bool)
     begin = windows.t0[w]
-    return series.guessed & (series.t >= begin) & (series.t < begin + windows.length)
+    return series.guessed & (series.t >= begin - HISTORY) & (series.t < begin + windows.length)
 
 
 def _moved(
     series: CommandSeries, rank: np.ndarray, errors: np.ndarray, m: int, by: np.ndarray
 ) -> CommandSeries:
-    """Return commands of which the guesses of one command are moved by so many standard deviations."""
+    """Return commands of which the guesses of one command are moved by so many sizes of their errors."""
     if series.guessed is None:
         return series
     value = np.atleast_2d(series.value.T).T.copy()
