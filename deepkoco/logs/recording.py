@@ -89,7 +89,10 @@ class Recording:
             last = int(np.searchsorted(series.t, stop, side="right"))
             if series.kind == "command" and (first == len(series) or series.t[first] > start):
                 first = max(first - 1, 0)
-            channels[name] = replace(series, t=series.t[first:last], value=series.value[first:last])
+            guessed = None if series.guessed is None else series.guessed[first:last]
+            channels[name] = replace(
+                series, t=series.t[first:last], value=series.value[first:last], guessed=guessed
+            )
         return replace(self, channels=channels)
 
 

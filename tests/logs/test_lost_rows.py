@@ -38,6 +38,12 @@ def test_a_log_says_how_many_rows_it_lost():
     assert "2 rows (1 %) are missing" in told
 
 
+def test_a_part_of_a_log_knows_its_lost_rows():
+    part = with_lost_rows(log_of(np.delete(np.arange(ROWS), [50, 120]))).between(40 * PERIOD, 60 * PERIOD)
+    series = part.channels["torque"]
+    np.testing.assert_allclose(series.t[series.guessed], [50 * PERIOD])
+
+
 @pytest.mark.parametrize(
     "recording",
     [
