@@ -124,6 +124,9 @@ def _fitted_again(request: DiagnosisRequest, explanation: Explanation) -> Explan
     reference = _refit(problem, known, start.prior.names, start.prior, final.state, BRIEF)
     if reference.diverged:
         return None
+    # A refit far outside its prior can imitate a cause, and leave no error in these windows that the cause explains.
+    if _gain_of_prior(reference, final) and not _gain_of_prior(base.reference, found.final):
+        return None
     longer = replace(base, start=start, data=data, problem=problem, reference=reference)
     # The causes of their classes compete once more; the rankings of shorter windows do not count.
     members = {name for _, names in found.steps for name in names} | {c.name for c in found.accepted}
@@ -136,6 +139,11 @@ def _fitted_again(request: DiagnosisRequest, explanation: Explanation) -> Explan
     if stale or not again.accepted:
         return None
     return of_mean(replace(explanation, base=longer, found=again, longer=True))
+
+
+def _gain_of_prior(reference: Fit, final: Fit) -> bool:
+    """Return whether causes gain more by the price of the prior than by the error of the simulation."""
+    return reference.penalty - final.penalty > reference.chi2 - final.chi2
 
 
 def _refit(
