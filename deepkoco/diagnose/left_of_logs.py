@@ -6,7 +6,7 @@ from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
-from deepkoco.diagnose.baseline import Baseline, baseline_from, on_half_windows
+from deepkoco.diagnose.baseline import Baseline, baseline_from, few_windows, on_half_windows
 from deepkoco.diagnose.causes.timing import STARTS
 from deepkoco.fit.data.halves import halved
 from deepkoco.fit.data.own_steps import in_steps_of
@@ -62,7 +62,8 @@ class LeftOfLogs:
         fit = on_half_windows(start, windows, names)
         if law.engine is None and fit.chi2 > NOISE * max(windows.samples, 1):
             # Steps that are too long for these logs leave something, too, and an engine's own are shorter.
-            problem_of, halves = partial(FitProblem, start.system), halved(windows)
+            problem_of = partial(FitProblem, start.system)
+            halves = halved(windows.take(few_windows(windows, len(names))))
             parts = fine_steps(problem_of, halves, fit)
             if parts > 1:
                 self._parts *= parts

@@ -81,6 +81,9 @@ def data_with_lost_rows_fitted(
         data: The windows.
         fit: A fit of the training windows.
         prior: Prior of its free parameters.
+
+    Returns:
+        The windows, and the fit of the training windows; those in which more than noise is left are as they were.
     """
     train, fit = with_lost_rows_fitted(problem_of, data.train, fit, prior)
     held = data.held
