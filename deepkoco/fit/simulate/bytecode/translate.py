@@ -128,6 +128,8 @@ def _translate(nodes: Nodes, call: Call, values: dict[int, np.ndarray]) -> None:
         return None if given is None else _array(nodes, given, values)
 
     def each(function: Callable[..., int], *operands: np.ndarray) -> np.ndarray:
+        if all(x.size == 1 for x in operands):  # nearly always, and much faster
+            return np.full(shape, function(*(x.item() for x in operands)), dtype=np.int64)
         spread = np.broadcast_arrays(*operands)
         flat = [function(*map(int, items)) for items in zip(*(x.reshape(-1) for x in spread), strict=True)]
         return np.array(flat, dtype=np.int64).reshape(spread[0].shape)
@@ -137,7 +139,7 @@ def _translate(nodes: Nodes, call: Call, values: dict[int, np.ndarray]) -> None:
         found = _reduced(nodes, name, arguments, options, read)
     if found is None:
         raise TraceError(f"{call.name} is no instruction")
-    values[id(out)] = np.broadcast_to(found, shape)
+    values[id(out)] = found if found.shape == shape else np.broadcast_to(found, shape)
 
 
 def _elementwise(nodes: Nodes, name: str, call: Call, read: Any, each: Any) -> np.ndarray | None:
