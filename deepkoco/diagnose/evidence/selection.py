@@ -162,24 +162,26 @@ def rank(
         from_given = [*promising, *far]
         before = {n: start.values[n] for n in start.prior.names}
         values = [{**reference.values, **before, **p.values} for p in from_given]
-        footholds = []
-        if sharing or reference.converged:
-            foot = {**reference.values, **before}
-            state, cost = problem.fit_states(foot, reference.state)
-            known = problem.slopes_at(foot, reference.free, state, reference.nuisance) if sharing else None
-            if bool(torch.isfinite(cost).all()):
-                footholds = [
-                    trial_of(problem, start, accepted, p.cause, values[k], state, reference)
-                    for k, p in enumerate(from_given)
-                ]
+        stuck = {name for name, fit in fits.items() if fit.stuck or fit.diverged}
+        foot = {**reference.values, **before}
+        state, cost = problem.fit_states(foot, reference.state)
+        known = problem.slopes_at(foot, reference.free, state, reference.nuisance) if sharing else None
+        if bool(torch.isfinite(cost).all()):
+            footholds = [
+                trial_of(problem, start, accepted, p.cause, values[k], state, reference)
+                for k, p in enumerate(from_given)
+            ]
             footholds = alone(problem, footholds, from_given, known, ITERATIONS if sharing else ALONE)
-        if not sharing:  # even where the refit has found a minimum of whole windows, a cause may not
-            footholds += from_halves(problem, start, accepted, from_given, values, reference)
-        trials += footholds
-        # These starts are fitted to the end by themselves: in the first iterations the others look better.
-        for name, fit in fit_best(problem, footholds, reference, known, worth).items():
-            if name not in fits or fit.cost < fits[name].cost:
-                fits[name] = fit
+            trials += footholds
+            # These starts are fitted to the end by themselves: in the first iterations the others look better.
+            fits = lower_ones(fits, fit_best(problem, footholds, reference, known, worth))
+        # Where whole windows led to no minimum, another start of the same windows may end in a false one.
+        hard = [k for k, p in enumerate(from_given) if p.cause.name in stuck or p.cause.name not in fits]
+        if hard and not sharing:
+            hard_points, there = [from_given[k] for k in hard], [values[k] for k in hard]
+            footholds = from_halves(problem, start, accepted, hard_points, there, reference)
+            trials += footholds
+            fits = lower_ones(fits, fit_best(problem, footholds, reference, worth=worth))
     promised = largest_promises(promises)
     unfitted = tuple(name for name, fit in fits.items() if fit.diverged)
     fits = {name: fit for name, fit in fits.items() if not fit.diverged}
@@ -218,6 +220,11 @@ def rank(
         ranking = _ranked(problem, start, reference, tried, fits, promised)
     ranking = with_natural_shapes(problem, start, accepted, ranking)
     return replace(ranking, unfitted=unfitted, beside=tuple(names), asked=tuple(c.name for c in everything))
+
+
+def lower_ones(fits: Mapping[str, Fit], others: Mapping[str, Fit]) -> dict[str, Fit]:
+    """Return the fit of lower cost of each name."""
+    return {**fits, **{n: f for n, f in others.items() if n not in fits or f.cost < fits[n].cost}}
 
 
 def _screened_as_given(

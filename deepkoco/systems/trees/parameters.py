@@ -139,9 +139,10 @@ def body_inertia(body: Body, parameters: Parameters) -> Inertia:
     com: Triple = tuple(  # pyright: ignore[reportAssignmentType]
         _value(parameters, f"com_{a}({body.name})", body.com[i]) for i, a in enumerate(AXES)
     )
-    moments = physical_moments(
-        [_value(parameters, f"inertia_{a}({body.name})", body.moments[i]) for i, a in enumerate(AXES)]
-    )
+    names = [f"inertia_{a}({body.name})" for a in AXES]
+    moments: Sequence[Scalar] = [_value(parameters, n, m) for n, m in zip(names, body.moments, strict=True)]
+    if all(n in parameters for n in names):
+        moments = physical_moments(moments)  # a moment that no motion shows may be whatever the others need
     axes = _product(body.frame.rotation, body.axes)
     central = rotated(axes, (*moments, *products_of_inertia(body, parameters)))
     centre = plus(body.frame.offset, outward(body.frame.rotation, com))
@@ -160,6 +161,23 @@ def physical_moments(moments: Sequence[Scalar]) -> tuple[Scalar, Scalar, Scalar]
         own = add(add(mul(0.5, a), mul(0.5, b)), mul(-0.5, c))
         across.append(own.clamp(min=0.0) if isinstance(own, Tensor) else max(own, 0.0))
     return add(across[1], across[2]), add(across[0], across[2]), add(across[0], across[1])
+
+
+def moments_beside(moments: Sequence[float], shown: Sequence[bool]) -> list[float]:
+    """Principal moments of a physical body: those that a motion shows stay as they are, if not all do.
+
+    Args:
+        moments: The three moments [kg m2].
+        shown: Which of them a motion shows.
+    """
+    if all(shown):
+        return [float(m) for m in physical_moments(moments)]
+    found = list(moments)
+    for i in sorted(range(3), key=lambda k: found[k], reverse=True):
+        if not shown[i]:
+            others = [found[k] for k in range(3) if k != i]
+            found[i] = min(max(found[i], abs(others[0] - others[1])), sum(others))
+    return found
 
 
 def joint_value(parameters: Parameters, kind: str, joint: Joint) -> Scalar:

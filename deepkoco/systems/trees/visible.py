@@ -10,6 +10,7 @@ import torch
 from deepkoco.systems.motion import Motion
 from deepkoco.systems.parameter import Parameter
 from deepkoco.systems.system import System
+from deepkoco.systems.trees.parameters import AXES
 from deepkoco.systems.trees.tree import Tree
 
 MOTIONS = 16
@@ -48,7 +49,10 @@ def visible_parameters(
         servo = actuator.bias[1] * actuator.gain[0] < 0.0
         near = -actuator.bias[1] / actuator.gain[0] * actuator.gear * angles[actuator.joint] if servo else 0.0
         efforts.append(near + drawn(1e-3 * size))
-    values = {p.name: torch.full((len(declared) + 1,), p.value, dtype=torch.float64) for p in declared}
+    # A flat body cannot become flatter: what another moment would then become is nothing that a motion shows of it.
+    thicker = {f"inertia_{a}({b.name})": max(b.moments) for b in tree.bodies for a in AXES}
+    start = {p.name: p.value + thicker.get(p.name, 0.0) for p in declared}
+    values = {n: torch.full((len(declared) + 1,), v, dtype=torch.float64) for n, v in start.items()}
     for k, p in enumerate(declared):
         step = STEP * p.prior_sd
         values[p.name][k + 1] += step if p.value + step <= p.high else -step

@@ -11,7 +11,7 @@ import torch
 
 from deepkoco.systems.trees.geometry import PRODUCTS, axis_turn, body_of, products_of_inertia
 from deepkoco.systems.trees.mujoco_library import mujoco_library
-from deepkoco.systems.trees.parameters import AXES, physical_moments
+from deepkoco.systems.trees.parameters import AXES, moments_beside, physical_moments
 from deepkoco.systems.trees.places import point_along
 from deepkoco.systems.trees.tree import Body, Site, matrix
 
@@ -104,7 +104,8 @@ class BodyWriter:
         before = self._parts(self.owner[number])
         own.explicitinertial = True
         own.mass, own.ipos = mass, com
-        axes, principal = np.array(body.axes), [float(m) for m in physical_moments(moments)]
+        shown = [f"inertia_{a}({body.name})" in self.values for a in AXES]
+        axes, principal = np.array(body.axes), moments_beside(moments, shown)
         named = {f"inertia_{pair}({body.name})" for pair in PRODUCTS} & set(self.values)
         products = products_of_inertia(body, {n: torch.tensor(self.values[n]) for n in named})
         if any(float(p) != 0.0 for p in products):
