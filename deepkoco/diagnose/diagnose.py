@@ -112,9 +112,8 @@ def diagnose(
         if baseline is not None:
             check_learned(baseline, base)
         base = as_engine_if_shown(healthy or recordings, base, usual, baseline)
-        # Healthy logs show what the unit does, and their baseline follows it.
-        chosen = window is not None or baseline is not None or healthy
-        length = usual if chosen else followed_length(recordings, base)
+        chosen = window is not None or baseline is not None
+        length = usual if chosen else followed_length(recordings, base, healthy)
         if window is None and baseline is None:
             length = length_for_enough(recordings, base, length, holdout)
         data = cut_data(recordings, holdout, base, length)

@@ -33,15 +33,21 @@ PERIODS = (
 SHORTEST = 16  # samples of each channel that a window keeps
 
 
-def followed_length(recordings: Sequence[Recording], system: System) -> float:
+def followed_length(
+    recordings: Sequence[Recording], system: System, healthy: Sequence[Recording] = ()
+) -> float:
     """Return the longest window [s] in which the system as given follows most of the logs.
 
-    Where it follows them in none, the window that it leaves least.
+    Where it follows them in none, the window that it leaves least. Healthy logs show what the unit does, and their
+    baseline follows it in a window of usual length, but for one in which their simulation as given leaves more than
+    their whole motion: no fit leads back from there.
 
     Args:
         recordings: Logs to explain.
         system: The system as given.
+        healthy: Healthy logs of the unit; none where the system as given has to follow the logs to explain.
     """
+    recordings = healthy or recordings
     usual, noise = window_length(system), estimate_channels(recordings, system)
     least, best = np.inf, usual
     for share in (*SHARES, *SHORTER):
@@ -53,7 +59,7 @@ def followed_length(recordings: Sequence[Recording], system: System) -> float:
             break
         start = baseline_from(system, windows)
         left = left_out(windows, start, start.values)
-        if left <= FOLLOWS:
+        if left <= (LOST if healthy and share == 1.0 else FOLLOWS):
             return share * usual
         if left < least:
             least, best = left, share * usual

@@ -1,4 +1,4 @@
-"""Moments of inertia that a motion shows: no kink where the body would be flat, and a physical body in the written file."""
+"""Moments of inertia that a motion shows: no kink where a body would be flat, and a physical body in the file."""
 
 import mujoco
 import numpy as np
