@@ -109,7 +109,8 @@ def _fitted_again(request: DiagnosisRequest, explanation: Explanation) -> Explan
         data = replace(data, train=with_steps_cut(data.train, parts), held=held)
         problem = problem_of(data.train)
         final = _refit(problem, final, prior.names, prior)
-    if final.diverged:
+    # Of an unstable plant, a fit of windows in which the simulation runs away finds no minimum.
+    if final.diverged or final.stuck:
         return None
     everything = request.causes
     limit = start.most_noise(data.train) * data.train.samples
