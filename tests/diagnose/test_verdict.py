@@ -49,7 +49,8 @@ def ruling(
     if kept is not None:
         refit, extended = (leaving(chi2) for chi2 in kept)
         fits = {"refit": refit, "extended": extended}
-        gain = SimpleNamespace(fits=fits, reduction=1.0 - (kept[1] / kept[0]) ** 0.5)
+        worth = 1.0 - (kept[1] / kept[0]) ** 0.5
+        gain = SimpleNamespace(fits=fits, reduction=worth, replayed=windows)
     return verdict_of(found, start, windows, leaving(before), gain, white, doubts)
 
 
@@ -87,6 +88,13 @@ def test_verdict_names_causes_that_leave_noise_unless_there_are_doubts(stage):
 )
 def test_verdict_with_remaining_structure_needs_the_explained_share(stage, names, after, healthy, expected):
     assert verdict(stage, names, after, healthy=healthy, white=after < 2.0) == expected
+
+
+@pytest.mark.parametrize(
+    ("after", "held_out", "expected"), [(1.0, 10.0, "unknown"), (1.5, 10.0, "unknown"), (1.0, 1.0, "cause")]
+)
+def test_a_push_is_no_cause_of_what_windows_that_it_does_not_touch_show(stage, after, held_out, expected):
+    assert verdict(stage, ["event"], after, kept=(10.0, held_out)) == expected
 
 
 @pytest.mark.parametrize(

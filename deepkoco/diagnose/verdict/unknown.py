@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from deepkoco.diagnose.gain import Gain
 from deepkoco.diagnose.residuals.residuals import Dispersion, MissingTorque
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit
@@ -30,17 +31,33 @@ TERMS = {
 }
 
 
-def explained_share(before: Fit, after: Fit, windows: Windows, floor: float) -> float:
+def explained_share(
+    before: Fit, after: Fit, windows: Windows, floor: float, held: Gain | None = None
+) -> float:
     """Share of the excess chi2 that the causes explain, in the channel where this share is largest.
 
     The excess is chi2 per sample above the floor. A channel with glitches (many speed estimates have them) keeps
     its excess under any cause. The largest share is taken so that such a channel does not hide the others.
+
+    Args:
+        before: Fit without the causes.
+        after: Fit with them.
+        windows: Their windows.
+        floor: chi2 per sample that no cause has to explain.
+        held: Held-out windows, which count as well: a push that explains all of the fitted ones explains little where
+            those that it does not touch differ as much. None leaves them out.
     """
-    shares = []
+    shares, valid, pairs = [], [windows.valid], [(before, after)]
+    if held is not None:
+        valid.append(held.replayed.valid)
+        pairs.append((held.fits["refit"], held.fits["extended"]))
     for c in range(windows.valid.shape[1]):
-        samples = int(windows.valid[:, c].sum())
+        samples = sum(int(v[:, c].sum()) for v in valid)
         if samples:
-            left = [float((fit.residual[:, c] ** 2).sum()) / samples for fit in (before, after)]
+            left = [
+                sum(float((fit.residual[:, c] ** 2).sum()) for fit in fits) / samples
+                for fits in zip(*pairs, strict=True)
+            ]
             shares.append((left[0] - left[1]) / max(left[0] - floor, 1e-12) if left[0] > floor else 0.0)
     return max(shares, default=0.0)
 

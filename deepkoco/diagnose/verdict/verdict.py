@@ -93,8 +93,13 @@ def verdict_of(
             "unknown",
             f"Nearly any difference can be fitted with {_told(found)}, and more than noise is left.",
         )
+    # Pushes and lost commands do not repeat in the held-out windows, which still show what lasts beside a push.
+    beside = gain if found.lost is None and not lasting else None
+    if beside is not None:
+        unseen = beside.replayed
+        left = left or beside.fits["extended"].chi2 / unseen.samples > start.most_noise(unseen)
     if found.lost is not None or not lasting:
-        gain = None  # pushes and lost commands do not repeat in the held-out windows
+        gain = None
     # A prior of units of one make counts as the samples do. A refit that strays from it explains nothing by that, and
     # held-out windows cannot see how far it strays.
     strayed = before.penalty - after.penalty if start.roughness > 1.0 else 0.0
@@ -107,7 +112,7 @@ def verdict_of(
             return Ruling(
                 "unknown", f"More than noise is left beside {_told(found)}; no more are searched for."
             )
-        share = explained_share(before, after, train, start.floor)
+        share = explained_share(before, after, train, start.floor, beside)
         if strays:
             excess = before.chi2 - start.floor * train.samples
             share = max(share, (before.cost - after.cost) / max(excess + strayed, 1e-12))
