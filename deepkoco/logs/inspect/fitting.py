@@ -14,6 +14,7 @@ from deepkoco.logs.inspect.joints import has_named_joints, propose_joints
 from deepkoco.logs.inspect.left_over import with_what_is_left
 from deepkoco.logs.inspect.lone_units import with_likely_units
 from deepkoco.logs.inspect.misfit import misfit
+from deepkoco.logs.inspect.other_quantity import with_numbers_of_drives
 from deepkoco.logs.inspect.proposal import Proposer
 from deepkoco.logs.inspect.survey import Survey
 from deepkoco.logs.units import factor_between, parse_unit
@@ -82,6 +83,7 @@ def propose(survey: Survey, system: str | System | None = None, others: Sequence
             proposal = with_counts_of_speed(found, with_what_is_left(survey, proposal), samples)
             proposal = with_likely_units(found, proposal, samples)
         proposals[found.name] = found, proposal
+    proposals = {n: (own, with_numbers_of_drives(found)) for n, (own, found) in proposals.items()}
     usable = [name for name, (_, proposal) in proposals.items() if proposal.complete(survey)]
     if not usable:
         raise _nothing(survey, next(iter(proposals.values()))[1], system is not None)

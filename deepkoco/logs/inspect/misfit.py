@@ -11,6 +11,7 @@ from deepkoco.logs.checks.derivative import slip
 from deepkoco.logs.inspect.choice import Choice, Proposal
 from deepkoco.logs.inspect.evidence import POSITIONS, SPEEDS, STRIDE, Samples
 from deepkoco.logs.inspect.joints.goals import track
+from deepkoco.logs.inspect.other_quantity import measures_another
 from deepkoco.logs.inspect.survey import ColumnSurvey, Survey
 from deepkoco.logs.units import factor_between, parse_unit
 from deepkoco.systems import Motion, ParameterError, System
@@ -196,7 +197,7 @@ def _motion(
     """Common times, and positions, speeds and commands there [SI]."""
     read: dict[str, Samples] = {}
     for choice in proposal.choices:
-        if choice.column is not None and choice.column.label in samples:
+        if choice.column is not None and choice.column.label in samples and not measures_another(choice):
             t, value = samples[choice.column.label]
             factor = factor_between(choice.unit, choice.channel.unit)
             read[choice.channel.name] = t, factor * (choice.scale * value + choice.offset)

@@ -20,6 +20,7 @@ from deepkoco.logs.inspect.fitting import Fitting, NoProposalError, propose
 from deepkoco.logs.inspect.joints.finding import JointFinding
 from deepkoco.logs.inspect.joints.log_joints import EFFORT, POSITION, SPEED, words_of
 from deepkoco.logs.inspect.names import WANTED
+from deepkoco.logs.inspect.other_quantity import measures_another
 from deepkoco.logs.inspect.survey import Survey, survey_log
 from deepkoco.logs.part import split_part
 from deepkoco.logs.runs import split_run
@@ -101,7 +102,7 @@ def _doubt(fitting: Fitting, system: System) -> str | None:
     """Why a proposal is not sure; None where it is."""
     joints = {finding.model: finding for finding in fitting.proposal.joints}
     if not joints:
-        return "only joints and actuators with names tell which column is which"
+        return _doubt_of_names(fitting)
     for choice in fitting.proposal.choices:
         name, column = choice.channel.name, choice.column
         if column is None:
@@ -110,10 +111,31 @@ def _doubt(fitting: Fitting, system: System) -> str | None:
             continue
         if choice.sureness != "sure" or SAME_NAME not in choice.reasons:
             return f"{name} is {choice.sureness}, but not by its name: {column.label}"
+        if measures_another(choice):
+            return f"{column.label} is in {choice.unit}, and {name} is in {choice.channel.unit}"
         if choice.channel.kind == "measurement" and not choice.stated:
             return f"no name says that {column.label} is in {choice.unit}"
         if choice.channel.kind == "command" and (doubt := _doubt_of_command(choice, joints, system)):
             return doubt
+    return fitting.doubt
+
+
+def _doubt_of_names(fitting: Fitting) -> str | None:
+    """Why a proposal for a system whose joints have no names is not sure; None where it is."""
+    for choice in fitting.proposal.choices:
+        name, column = choice.channel.name, choice.column
+        if column is None:
+            if choice.channel.kind == "command" and choice.channel.default is None:
+                return f"no column is the command {name} for sure"
+            continue
+        if choice.sureness != "sure":
+            return f"{column.label} is only {choice.sureness} for {name}"
+        if choice.rival is not None:
+            return f"{name} may be {column.label} or {choice.rival}"
+        if measures_another(choice):
+            return f"{column.label} is in {choice.unit}, and {name} is in {choice.channel.unit}"
+        if not choice.stated:
+            return f"no name says that {column.label} is in {choice.unit}"
     return fitting.doubt
 
 
@@ -138,7 +160,7 @@ def _doubt_of_command(choice: Choice, joints: dict[str, JointFinding], system: S
     if choice.stated:
         return None
     most = max(abs(channel.low), abs(channel.high))
-    largest = max(abs(column.low or 0.0), abs(column.high or 0.0))
+    largest = abs(choice.scale) * max(abs(column.low or 0.0), abs(column.high or 0.0))
     beyond = largest > (ABOUT if channel.guessed else WITHIN) * most
     if channel.unit != "1" or said & EFFORT or beyond:
         return f"no name says that {column.label} is in {choice.unit}"
@@ -156,10 +178,17 @@ def _said(proposal: Proposal) -> str:
     words = {"sign": "direction", "zero": "zero"}
     assumed = [f"the {words[k]} of {', '.join(v)} is the model's" for k, v in unknown.items() if v]
     assumed += [
-        f"{c.column.label} is in {c.unit}" for c in proposal.choices if c.column is not None and not c.stated
+        _assumed_of(c, c.column.label) for c in proposal.choices if c.column is not None and not c.stated
     ]
     return (
         f"no sidecar: {taken}"
         + (f"; assumed: {'; '.join(assumed)}" if assumed else "")
         + "; to correct it, write it with deepkoco inspect --out"
     )
+
+
+def _assumed_of(choice: Choice, label: str) -> str:
+    size = abs(choice.scale)
+    if choice.channel.unit == "1" and size != 1.0:
+        return f"{label} times {size:.3g} is {choice.channel.name}"
+    return f"{label} is in {choice.unit}"
