@@ -18,6 +18,7 @@ from deepkoco.logs.sidecar import NoSidecarError, find_sidecar
 if TYPE_CHECKING:
     from deepkoco.logs.inspect.sure_mapping import SureMappings
     from deepkoco.systems import System
+from deepkoco.systems.origins import origin_of
 
 Logs = Recording | str | Path | Sequence[Recording | str | Path]
 """What functions take as logs: a recording, the path of a log or of a folder of logs, or a sequence of both."""
@@ -108,17 +109,27 @@ def _proposed(
     """
     from deepkoco.logs.inspect.sure_mapping import SureMappings
 
+    named = _as_typed(system)
     beside = [other for other in listed if find_sidecar(other) is not None]
     if beside:
         # Two logs of one robot must not be read in two ways.
-        raise NoSidecarError(error.log, error.file, f"{beside[0].name} has one, which may be right here, too")
+        why = f"{beside[0].name} has one, which may be right here, too"
+        raise NoSidecarError(error.log, error.file, why, named)
     if not sure:
         sure.append(SureMappings(listed, system))
     try:
         return sure[0].of(path)
     except LogError as doubt:
         why = str(doubt).removeprefix(f"{error.log}: ")
-        raise NoSidecarError(error.log, error.file, why) from doubt
+        raise NoSidecarError(error.log, error.file, why, named) from doubt
+
+
+def _as_typed(system: System) -> str:
+    """The text by which a command finds a system, from the current folder."""
+    place = origin_of(system)
+    if place is None:
+        return system.name
+    return place.removeprefix(f"{Path.cwd()}/")
 
 
 def read_runs(

@@ -43,12 +43,14 @@ ISO = "iso8601"
 class NoSidecarError(LogError):
     """A log has no sidecar, and its columns are not called as the channels are."""
 
-    def __init__(self, log: Path, file: Path, why: str | None = None) -> None:
+    def __init__(self, log: Path, file: Path, why: str | None = None, system: str | None = None) -> None:
         self.log, self.file = log, file
         doubt = "" if why is None else f" ({why})"
+        # Where the system is known, the command writes all of it; the example is that of another system.
+        by_hand = f", or pass a mapping:{EXAMPLE}" if system is None else ", and correct it there"
         super().__init__(
             f"{log}: no sidecar {file} maps its columns to channels{doubt}; write one with deepkoco inspect {log} "
-            f"--system SYSTEM --out {file}, or pass a mapping:{EXAMPLE}"
+            f"--system {system or 'SYSTEM'} --out {file}{by_hand}"
         )
 
 
