@@ -101,6 +101,24 @@ def test_an_unstable_plant_with_a_wrong_mass_gets_windows_in_which_it_does_not_r
     assert wrong < min(right, SHARES[-1] * window_length(system))
 
 
+def test_healthy_logs_lengthen_windows_only_where_their_simulation_does_not_run_away():
+    unstable, ball = Maglev(), levitated_ball(0.065)
+    assert followed_length([ball], unstable, [ball]) < 0.25 * window_length(unstable)
+    servo, log = make_system("servo_pendulum"), servo_log(go1_like(), "sin_time_square", 0, 20.0)
+    off = ExtendedSystem(servo, (), {"stiffness": 2.0})
+    assert followed_length([log], off) < window_length(off)
+    assert followed_length([log], off, [log]) == window_length(off)
+
+
+@pytest.mark.study
+def test_the_damping_of_an_unstable_plant_is_named_with_its_size():
+    # Longer windows, in which the simulation runs away, must not take the place of those in which it was found.
+    found = diagnose([levitated_ball(0.065, 6.0, drag=0.3)], Maglev())
+    assert [cause.name for cause in found.causes] == ["viscous"]
+    (damping,) = found.causes[0].parameters.values()
+    assert damping.value == pytest.approx(0.3, rel=0.1)
+
+
 def test_the_shortest_window_still_has_twenty_steps():
     log = levitated_ball(0.065, 1.0)
     for length in (0.02, 0.05, 1.0):

@@ -15,7 +15,7 @@ from deepkoco.excitation.record import record
 from deepkoco.logs import LogError, read_log, read_logs, write_log
 from deepkoco.logs.formats import open_log
 from deepkoco.logs.formats.recordings import recordings
-from deepkoco.systems import load_system
+from deepkoco.systems import Channel, Parameter, System, load_system
 from deepkoco.unit import make_unit
 
 SYSTEM = "torque_pendulum"
@@ -271,6 +271,49 @@ def test_a_log_without_a_sidecar_is_read_where_its_names_leave_no_doubt(tmp_path
         "no sidecar: q_pivot = pivot_angle_deg [deg], drive = drive_cmd [1]"
     )
     assert "deepkoco inspect" in recording.warnings[0]
+
+
+@pytest.mark.parametrize(("limit", "taken"), [(2.0, True), (2000.0, False)])
+def test_a_motor_without_a_unit_takes_the_number_of_its_amperes(tmp_path, limit, taken):
+    log, _ = swinging(tmp_path)
+    frame = pd.read_csv(log)
+    frame["drive_cmd_mA"] = 1000.0 * frame.pop("drive_cmd")
+    frame.to_csv(log, index=False)
+    (tmp_path / "swing.xml").write_text(PENDULUM.replace("gear=", f'ctrlrange="-{limit} {limit}" gear='))
+    system = load_system(tmp_path / "swing.xml")
+    if not taken:  # the limits of this model are in mA as well
+        with pytest.raises(LogError, match="no name says that drive_cmd_mA is in 1"):
+            read_logs([log], system)
+        return
+    (recording,) = read_logs([log], system)
+    np.testing.assert_allclose(recording.channels["drive"].value, frame["drive_cmd_mA"] / 1000.0)
+    assert "drive_cmd_mA times 0.001 is drive" in recording.warnings[0]
+
+
+class Lever(System):
+    """A lever whose joint has no name."""
+
+    joint_units = "rad"
+    parameters = (Parameter("inertia", 0.1, "kg m2", 0.01, 1.0, 0.01, "of the lever"),)
+    commands = (Channel("torque", "N m", "command", -2.0, 2.0),)
+    measurements = (Channel("theta", "rad", "measurement", noise_sd=1e-3),)
+
+    def accelerations(self, p):
+        return lambda motion: ((motion.efforts[0] + motion.load(0)) / p["inertia"],)
+
+
+@pytest.mark.parametrize(("name", "sure"), [("theta [deg]", True), ("theta", False)])
+def test_a_system_without_names_of_joints_needs_no_sidecar_where_units_are_told(tmp_path, name, sure):
+    t = np.arange(0.0, 3.0, 0.01)
+    columns = {"time_s": t, name: 40.0 * np.sin(3.0 * t), "torque_mNm": -63.0 * np.sin(3.0 * t)}
+    pd.DataFrame(columns).to_csv(tmp_path / "log.csv", index=False)
+    if not sure:
+        with pytest.raises(LogError, match=r"no sidecar .*theta.* with deepkoco inspect .*--system"):
+            read_logs([tmp_path / "log.csv"], Lever())
+        return
+    (recording,) = read_logs([tmp_path / "log.csv"], Lever())
+    np.testing.assert_allclose(recording.channels["theta"].value, np.deg2rad(columns[name]))
+    np.testing.assert_allclose(recording.channels["torque"].value, 1e-3 * columns["torque_mNm"])
 
 
 def test_a_log_whose_command_is_not_sure_needs_a_sidecar(tmp_path):

@@ -6,8 +6,14 @@ from deepkoco import Channel, Parameter, System
 from deepkoco.logs.recording import Recording, Series
 
 
-def levitated_ball(mass: float, seconds: float = 4.0) -> Recording:
-    """A ball that a controller holds below a magnet, at 1 kHz: it falls twice as far every 16 ms on its own."""
+def levitated_ball(mass: float, seconds: float = 4.0, drag: float = 0.0) -> Recording:
+    """A ball that a controller holds below a magnet, at 1 kHz: it falls twice as far every 16 ms on its own.
+
+    Args:
+        mass: Of the ball [kg].
+        seconds: Length of the log [s].
+        drag: Damping by eddy currents [N s/m].
+    """
     rng, step, parts = np.random.default_rng(3), 1e-3, 20
     t = step * np.arange(round(seconds / step))
     gap, speed, before, rate, integral, rows = 0.01, 0.0, 0.01, 0.0, 0.0, np.zeros((len(t), 2))
@@ -19,7 +25,7 @@ def levitated_ball(mass: float, seconds: float = 4.0) -> Recording:
         current = 0.99 + 350.0 * error + 9.0 * rate + 800.0 * integral
         rows[k] = seen, current
         for _ in range(parts):
-            speed += step / parts * (9.81 - 6.5e-5 * current**2 / (mass * gap**2))
+            speed += step / parts * (9.81 - (6.5e-5 * current**2 / gap**2 + drag * speed) / mass)
             gap += step / parts * speed
     return Recording(
         {"gap": Series(t, rows[:, 0], "m", "measurement"), "current": Series(t, rows[:, 1], "A", "command")}

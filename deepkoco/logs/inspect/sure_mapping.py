@@ -32,6 +32,7 @@ SAME_NAME = "the same name"
 ONE_UNIT = (0.7, 1.4)  # slope of a position against its goal, from which both are in one unit
 # Times the limits of an actuator, within which its commands are in its unit; and those that only its load lets guess.
 WITHIN, ABOUT = 1.2, 10.0
+FAINT = 0.02  # share of those limits that a converted command exceeds
 
 
 class SureMappings:
@@ -162,7 +163,9 @@ def _doubt_of_command(choice: Choice, joints: dict[str, JointFinding], system: S
     most = max(abs(channel.low), abs(channel.high))
     largest = abs(choice.scale) * max(abs(column.low or 0.0), abs(column.high or 0.0))
     beyond = largest > (ABOUT if channel.guessed else WITHIN) * most
-    if channel.unit != "1" or said & EFFORT or beyond:
+    # The limits of a model may count thousandths, too.
+    tiny = choice.scale != 1.0 and not channel.guessed and largest < FAINT * most
+    if channel.unit != "1" or said & EFFORT or beyond or tiny:
         return f"no name says that {column.label} is in {choice.unit}"
     return None
 

@@ -13,7 +13,7 @@ def _body_mass(system: System, body: int = 0) -> tuple[Parameter, ...]:
 
 def _apply_body_mass(system: System, body: int, parameters: Parameters, p: Parameters) -> Parameters:
     own = list(system.bodies.values())[body]
-    return {**parameters, **{n: p["factor"] * parameters.get(n, value) for n, value in own.items()}}
+    return {**parameters, **{n: p["factor"] * parameters[n] for n in own if n in parameters}}
 
 
 BODY_MASS = Effect(

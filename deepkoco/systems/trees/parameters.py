@@ -55,6 +55,7 @@ LARGEST_ROTOR = 20.0  # bound of such a rotor, likewise
 # Least prior standard deviation of the rate [1/s] at which damping makes a motion fade, in a model without drives. Such
 # files state values as 0.003 N m s/rad for numerical reasons, where gears have a thousand times as much.
 FADING = 10.0
+THICKNESS = 0.01  # of a body whose other moments make it flat, as a share of the smaller of two moments
 COM_REACH = 5.0  # bounds of a centre of mass [radii of gyration]
 
 
@@ -175,8 +176,9 @@ def moments_beside(moments: Sequence[float], shown: Sequence[bool]) -> list[floa
     found = list(moments)
     for i in sorted(range(3), key=lambda k: found[k], reverse=True):
         if not shown[i]:
-            others = [found[k] for k in range(3) if k != i]
-            found[i] = min(max(found[i], abs(others[0] - others[1])), sum(others))
+            small, large = sorted(found[k] for k in range(3) if k != i)
+            room = (1.0 - THICKNESS) * small
+            found[i] = min(max(found[i], large - room), large + room)
     return found
 
 

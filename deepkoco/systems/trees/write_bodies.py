@@ -104,7 +104,8 @@ class BodyWriter:
         before = self._parts(self.owner[number])
         own.explicitinertial = True
         own.mass, own.ipos = mass, com
-        shown = [f"inertia_{a}({body.name})" in self.values for a in AXES]
+        names = {p.name for p in self.robot.parameters}
+        shown = [f"inertia_{a}({body.name})" in names for a in AXES]
         axes, principal = np.array(body.axes), moments_beside(moments, shown)
         named = {f"inertia_{pair}({body.name})" for pair in PRODUCTS} & set(self.values)
         products = products_of_inertia(body, {n: torch.tensor(self.values[n]) for n in named})
