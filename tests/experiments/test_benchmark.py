@@ -208,6 +208,7 @@ def test_a_run_that_is_refused_is_named_with_its_reason(micro, make_run, tmp_pat
 
 
 @pytest.mark.study
+@pytest.mark.long
 @pytest.mark.timeout(600)  # nine processes one after the other, each of which imports everything
 def test_killed_and_gone_on_with_equals_uninterrupted(tmp_path):
     whole, killed = tmp_path / "whole", tmp_path / "killed"
