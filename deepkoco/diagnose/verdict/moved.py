@@ -68,6 +68,8 @@ def moved_parameters(problem: FitProblem, start: Baseline, refit: Fit) -> tuple[
     # A change within a data sheet's standard deviation is no news, and such a parameter is known as it was declared.
     news = [n for n in chosen if abs(change[n]) >= sd[n]]
     found = with_intervals(problem, best.values, _beside_others(problem, refit, news, deflation))
+    # Beside all others, one of them may be no other than it was given.
+    news = [n for n in news if not found[n].low <= start.values[n] <= found[n].high]
     return tuple(_moved(problem, start, best, n, found[n], sd) for n in news)
 
 
@@ -98,6 +100,7 @@ def _far(
     fits = [fit for fit in problem.fit(trials, PATIENCE) if not fit.diverged]
     fit = min(fits, key=lambda fit: fit.cost, default=refit)
     found = estimates(problem, fit, certain, deflation, start.narrowed)
+    certain = [n for n in certain if not found[n].low <= start.values[n] <= found[n].high]
     return tuple(_moved(problem, start, fit, n, found[n], sd) for n in certain)
 
 
