@@ -61,7 +61,7 @@ def followed_length(
             break
         windows = cut_windows(recordings, system, share * usual, noise)
         windows = windows.take(moving(windows)) if len(windows) else windows
-        if len(windows) == 0 or _samples(windows) < SHORTEST:
+        if len(windows) == 0 or samples_of(windows) < SHORTEST:
             break
         start = baseline_from(system, windows)
         each = _each_left_out(windows, start, start.values)
@@ -95,7 +95,7 @@ def length_for_enough(
     for share in SHARES[:3] if seconds > PERIODS * length else ():
         windows = cut_windows(recordings, system, share * length, noise, cover=bool(holdout))
         count = int(moving(windows).sum()) if len(windows) else 0
-        if count and _samples(windows) < SHORTEST:
+        if count and samples_of(windows) < SHORTEST:
             break
         if count >= MIN_TRAINING_WINDOWS + (0 if holdout or share == 1.0 else SPARED):
             return share * length
@@ -104,7 +104,7 @@ def length_for_enough(
     return length if fitted is None else fitted
 
 
-def _samples(windows: Windows) -> int:
+def samples_of(windows: Windows) -> int:
     """Samples of a full window, of the slowest channel that the logs measure."""
     most = windows.valid.sum(-1).max(0).values
     return int(most[most > 0].min())

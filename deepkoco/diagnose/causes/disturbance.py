@@ -11,12 +11,14 @@ from deepkoco.systems.effects.disturbance import PITCHES
 
 if TYPE_CHECKING:
     from deepkoco.diagnose.residuals.residuals import MissingTorque
+    from deepkoco.diagnose.residuals.waves import Waves
 
 CYCLES = tuple(range(2, 31))  # per turn
 MIN_CYCLES = 2.0  # cycles that a log must show
 MOST_SHOWN = 60.0  # cycles on the way of a slide that are tried
 LOWEST = 0.8  # frequency from which an outside load is searched [rad/s]
 NEARLY = 0.9  # share of what the best pitch explains from which another one is tried
+HALVINGS = 3  # of the windows in which pitches are sought
 LINES = 5  # lines of the spectrum that are tried
 
 
@@ -36,12 +38,24 @@ def _cycles(hint: Hint) -> list[dict[str, float]]:
 
 
 def _pitches(missing: MissingTorque, way: float) -> list[dict[str, float]]:
-    """Return the pitches that explain nearly as much of the residuals as the best one, each with its size and phase."""
+    """Return the pitches that explain nearly as much of the residuals as the best one, each with its size and phase.
+
+    They are sought in windows of the length in which one of them explains most: a detent that is missing moves the
+    simulation by more than its response tells within a long one.
+    """
     counts = np.arange(MIN_CYCLES, MOST_SHOWN, 0.5)
     counts = counts[(way / counts >= PITCHES[0]) & (way / counts <= PITCHES[1])]
     if missing.waves is None or len(counts) == 0:
         return []
-    falls, _ = missing.waves.explained(2.0 * np.pi * counts / way)
+    clearest, waves, falls = 0.0, missing.waves, np.zeros(len(counts))
+    shorter: Waves | None = waves
+    for _ in range(HALVINGS + 1):
+        if shorter is None:
+            break
+        there, _ = shorter.explained(2.0 * np.pi * counts / way)
+        if (share := float(there.max()) / max(shorter.misfit, 1e-300)) > clearest:
+            clearest, waves, falls = share, shorter, there
+        shorter = shorter.halved()
     coarse: list[int] = []
     for k in np.argsort(-falls):
         if all(abs(counts[k] - counts[other]) > 1.0 for other in coarse):
@@ -51,7 +65,7 @@ def _pitches(missing: MissingTorque, way: float) -> list[dict[str, float]]:
     # A fit finds a pitch only from within a fraction of a cycle on the whole way.
     near = np.linspace(-0.45, 0.45, 10)
     counts = np.concatenate([counts[k] + near for k in coarse])
-    falls, sizes = missing.waves.explained(2.0 * np.pi * counts / way)
+    falls, sizes = waves.explained(2.0 * np.pi * counts / way)
     best = falls.reshape(-1, len(near)).argmax(1)
     found = [k for k in len(near) * np.arange(len(best)) + best if falls[k] >= NEARLY * falls.max()]
     return [

@@ -9,13 +9,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from deepkoco.fit.data.halves import halved
 from deepkoco.fit.fit import Fit, FitProblem
-from deepkoco.fit.simulate.push import Push
-from deepkoco.fit.simulate.simulator import predict
+from deepkoco.fit.simulate.push import Push, push_torque
+from deepkoco.fit.simulate.simulator import predict, trajectories
 from deepkoco.systems import ExtendedSystem
 
 LANES = 160  # simulations in one batch
 UNIT = 1e-4  # load of a response, in typical loads of the joint
+LEAST_STEPS = 20  # of a window, and samples
 TINY = 1e-6  # change of an initial state of a response
 
 
@@ -55,6 +57,34 @@ class Waves(NamedTuple):
             if valid.any():
                 path[w] += np.interp(nodes, windows.t[w, c].numpy()[valid], off[w][valid])
         return path
+
+    @property
+    def misfit(self) -> float:
+        """chi2 of the residuals."""
+        return float((self.fit.residual**2).sum())
+
+    def halved(self) -> Waves | None:
+        """Return the same in windows of half the length; None where they are too short, or the simulation diverges.
+
+        Where a load that is missing has moved the simulation by a part of its pitch, its response is no longer linear.
+        """
+        problem = FitProblem(self.problem.system, halved(self.problem.windows))
+        windows = problem.windows
+        if windows.steps < LEAST_STEPS or int(windows.valid.sum(-1).max()) < LEAST_STEPS:
+            return None
+        fit = problem.evaluate(self.fit.values)
+        if fit.diverged:
+            return None
+        theta = np.array([fit.values[n] for n in problem.names])
+        pushed = push_torque(windows, theta[None, -len(Push.NAMES) :], problem.system.joints)
+        states, _, _ = trajectories(self.system, windows, self._named(), fit.state[None])
+        return self._replace(
+            problem=problem, fit=fit, path=states[:, 0, :, self.joint].numpy(), pushed=pushed
+        )
+
+    def _named(self) -> dict[str, Tensor]:
+        values, names = self.fit.values, self.problem.names
+        return {n: torch.tensor(values[n], dtype=torch.float64) for n in names if n not in Push.NAMES}
 
     def explained(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return by how much loads of each wave number lower chi2 (K,), and their a and b (K, 2) [N m or N].
@@ -113,12 +143,7 @@ class Waves(NamedTuple):
         initial = self.fit.state[None].repeat(lanes, 1, 1)
         for s in range(states):
             initial[1 + len(loads) + s, :, s] += TINY
-        named = {
-            n: torch.tensor(self.fit.values[n], dtype=torch.float64)
-            for n in problem.names
-            if n not in Push.NAMES
-        }
         push = push if self.pushed is None else push + self.pushed
-        predicted = predict(self.system, windows, named, initial, push)
+        predicted = predict(self.system, windows, self._named(), initial, push)
         change = ((predicted[1:] - predicted[0]) * problem.weight).reshape(lanes - 1, len(windows), -1)
         return torch.where(torch.isfinite(change).all(-1, keepdim=True), change, 0.0)
