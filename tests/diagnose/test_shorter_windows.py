@@ -17,15 +17,18 @@ from deepkoco.systems import load_system
 from tests.oracle.feeder import DETENT, PHASE, PITCH, feeder_log, model_file
 
 
-def test_the_pitch_is_sought_in_windows_in_which_the_response_is_linear(tmp_path):
-    system, log = load_system(model_file(tmp_path)), feeder_log(12.0)
+@pytest.mark.parametrize("seed", [15, 16])
+def test_the_pitch_is_sought_in_windows_in_which_the_response_is_linear(tmp_path, seed):
+    system, log = load_system(model_file(tmp_path)), feeder_log(12.0, seed)
     windows = cut_windows([log], system, 1.5)
     windows = windows.take(moving(windows))
     start = baseline_from(system, windows)
     problem = FitProblem(start.system, windows)
-    (missing,) = missing_torque(problem, problem.evaluate(start.values))
-    found = _pitches(missing, float(np.ptp(log.channels["q_carriage"].value)))
-    assert any(start["pitch"] == pytest.approx(PITCH, rel=5e-3) for start in found)
+    # A refit without detents makes up for them by friction, and is far from the log within 1.5 s.
+    off = {**start.values, "mass(carriage)": 2.8, "frictionloss(carriage)": 2.5}
+    (missing,) = missing_torque(problem, problem.evaluate(off))
+    (found,) = _pitches(missing, float(np.ptp(log.channels["q_carriage"].value)))
+    assert found["pitch"] == pytest.approx(PITCH, rel=5e-3)
 
 
 @pytest.mark.study

@@ -40,7 +40,7 @@ def _cycles(hint: Hint) -> list[dict[str, float]]:
 def _pitches(missing: MissingTorque, way: float) -> list[dict[str, float]]:
     """Return the pitches that explain nearly as much of the residuals as the best one, each with its size and phase.
 
-    They are sought in windows of the length in which one of them explains most: a detent that is missing moves the
+    They are sought in windows of the length in which one of them stands out most: a detent that is missing moves the
     simulation by more than its response tells within a long one.
     """
     counts = np.arange(MIN_CYCLES, MOST_SHOWN, 0.5)
@@ -53,8 +53,11 @@ def _pitches(missing: MissingTorque, way: float) -> list[dict[str, float]]:
         if shorter is None:
             break
         there, _ = shorter.explained(2.0 * np.pi * counts / way)
-        if (share := float(there.max()) / max(shorter.misfit, 1e-300)) > clearest:
-            clearest, waves, falls = share, shorter, there
+        best = int(there.argmax())
+        others = there[abs(counts - counts[best]) > 1.0]
+        clear = float(there[best]) / max(float(others.max(initial=0.0)), 1e-300)
+        if clear > clearest:
+            clearest, waves, falls = clear, shorter, there
         shorter = shorter.halved()
     coarse: list[int] = []
     for k in np.argsort(-falls):

@@ -58,11 +58,6 @@ class Waves(NamedTuple):
                 path[w] += np.interp(nodes, windows.t[w, c].numpy()[valid], off[w][valid])
         return path
 
-    @property
-    def misfit(self) -> float:
-        """chi2 of the residuals."""
-        return float((self.fit.residual**2).sum())
-
     def halved(self) -> Waves | None:
         """Return the same in windows of half the length; None where they are too short, or the simulation diverges.
 
