@@ -25,7 +25,7 @@ from deepkoco.diagnose.refitted import Refitted, data_with_lost_rows_fitted
 from deepkoco.diagnose.request import DiagnosisRequest
 from deepkoco.diagnose.residuals.residuals import dispersion
 from deepkoco.diagnose.weighed import detection_of
-from deepkoco.diagnose.window_choice import FOLLOWS, left_out
+from deepkoco.diagnose.window_choice import FOLLOWS, MUCH, left_out
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.fine_steps import MOST, STEP_ROUNDS, fine_steps, with_steps_cut
 from deepkoco.fit.solve.prior import Prior
@@ -114,6 +114,10 @@ def _fitted_again(request: DiagnosisRequest, explanation: Explanation) -> Explan
         return None
     everything = request.causes
     limit = start.most_noise(data.train) * data.train.samples
+    # A carriage that detents catch at another place is far from the log though nothing is missing.
+    explained = found.final.chi2 <= start.most_noise(base.train) * base.train.samples
+    if explained and final.chi2 > MUCH * limit:
+        return None
     if explanation.weighed and final.chi2 > limit and request.limit.allows("small effects that any unit has"):
         grown, fit = beside(problem, start, final, found.accepted, everything)
         fallen = (final.cost - fit.cost) / dispersion(final, data.train).deflation

@@ -13,9 +13,8 @@ from deepkoco.diagnose.data import MIN_TRAINING_WINDOWS, SPARED, cut_data
 from deepkoco.diagnose.explanation import Explanation
 from deepkoco.diagnose.request import DiagnosisRequest
 from deepkoco.diagnose.verdict.judgement import Judgement
-from deepkoco.diagnose.window_choice import SHORTEST, samples_of
+from deepkoco.diagnose.window_choice import MUCH, SHORTEST, samples_of
 
-MUCH = 100.0  # noise variances that a simulation leaves from which its slopes are doubted
 SHARE = 0.25  # of the length of the windows in which nothing was found
 
 

@@ -31,6 +31,7 @@ FOLLOWS = 0.1  # squared error of a simulation, as a share of the motion in its 
 # its motion. Initial states that keep it near are then a needle's eye, in which a fit gets stuck.
 RUNS_AWAY = 100.0
 FEW = 0.1  # share of the windows that may run away: a push may throw a simulation off
+MUCH = 100.0  # noise variances that a simulation leaves from which its slopes are doubted
 SOME = 20  # windows that are simulated
 PERIODS = (
     2.5  # usual windows that the logs last, at least, to be cut into shorter ones: one motion shows no law

@@ -10,7 +10,8 @@ from deepkoco.diagnose.baseline import baseline_from
 from deepkoco.diagnose.causes.disturbance import _pitches
 from deepkoco.diagnose.request import DiagnosisRequest
 from deepkoco.diagnose.residuals.residuals import missing_torque
-from deepkoco.diagnose.shorter_windows import MUCH, explains_all, on_shorter_windows
+from deepkoco.diagnose.shorter_windows import explains_all, on_shorter_windows
+from deepkoco.diagnose.window_choice import MUCH
 from deepkoco.fit.data.windows import cut_windows, moving
 from deepkoco.fit.fit import FitProblem
 from deepkoco.systems import load_system
