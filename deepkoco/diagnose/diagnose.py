@@ -17,20 +17,19 @@ from deepkoco.diagnose.causes import catalogue, causes_named, measured_channels,
 from deepkoco.diagnose.data import MIN_TRAINING_WINDOWS, cut_data
 from deepkoco.diagnose.diagnosis import Diagnosis
 from deepkoco.diagnose.evidence.selection import DETECTION
-from deepkoco.diagnose.explanation import Explanation
 from deepkoco.diagnose.healthy import learn_as_simulated
 from deepkoco.diagnose.longer_windows import on_longer_windows
 from deepkoco.diagnose.lost_rows import with_lost_rows_beside
 from deepkoco.diagnose.probability.shadow import with_evidence
 from deepkoco.diagnose.progress import Progress, silent
 from deepkoco.diagnose.request import DiagnosisRequest
-from deepkoco.diagnose.shorter_windows import explains_all, on_shorter_windows
 from deepkoco.diagnose.the_other_way import the_other_way
 from deepkoco.diagnose.time_limit import TimeLimit
 from deepkoco.diagnose.verdict.elastic_drives import with_elastic_drives
-from deepkoco.diagnose.verdict.judgement import Judgement, judge
+from deepkoco.diagnose.verdict.judgement import judge
 from deepkoco.diagnose.verdict.off_the_sheet import with_values_off_the_sheet
 from deepkoco.diagnose.verdict.result import diagnosis_of, insufficient
+from deepkoco.diagnose.verdict.shorter_windows import on_shorter_windows
 from deepkoco.diagnose.weighed import explained
 from deepkoco.diagnose.window_choice import followed_length, length_for_enough
 from deepkoco.fit.data.windows import window_length
@@ -149,42 +148,22 @@ def diagnose(
             except DivergedError as error:
                 # The healthy logs may be of another unit, so their prior need not suit these logs.
                 unfitted = (f"these logs under the prior of the healthy logs, which are left out ({error})",)
-        return _diagnosed(request, _as_given(request), unfitted, window is not None)
+        start = with_gauges_fixed(baseline_from(base, data.train), data.train)
+        return _diagnosed(request, start, unfitted, window is not None)
 
 
 def _diagnosed(
     request: DiagnosisRequest, start: Baseline, unfitted: Sequence[str] = (), chosen: bool = True
 ) -> Diagnosis:
-    """Diagnose from one baseline, also on shorter windows if nobody has chosen their length, and build the result."""
-    answer = _answered(request, start, unfitted)
-    shorter = None if chosen else on_shorter_windows(*answer)
-    if shorter is not None:
-        try:
-            again = _answered(shorter, _as_given(shorter), unfitted)
-        except DivergedError:
-            again = None
-        if again is not None and explains_all(again[1], again[2]):
-            answer = again
-    request, explanation, judgement = answer
-    weighed = request.evidence and request.limit.allows("probabilities of the causes")
-    result = diagnosis_of(request, explanation, judgement)
-    return with_evidence(result, request, explanation.base, explanation.weights) if weighed else result
-
-
-def _as_given(request: DiagnosisRequest) -> Baseline:
-    """Return the baseline without healthy logs."""
-    train = request.data.train
-    return with_gauges_fixed(baseline_from(request.system, train), train)
-
-
-def _answered(
-    request: DiagnosisRequest, start: Baseline, unfitted: Sequence[str]
-) -> tuple[DiagnosisRequest, Explanation, Judgement]:
-    """Refit one baseline, select causes, and judge them."""
+    """Diagnose from one baseline: refit it and select causes, judge them, and build the result."""
     explanation = explained(request, start, unfitted)
     request, explanation = with_lost_rows_beside(request, explanation, unfitted)
     request, explanation = the_other_way(request, explanation, unfitted)
     request, explanation = on_longer_windows(request, explanation)
     judgement = judge(request, explanation)
     explanation, judgement = with_values_off_the_sheet(request, explanation, judgement)
-    return with_elastic_drives(request, explanation, judgement)
+    request, explanation, judgement = with_elastic_drives(request, explanation, judgement)
+    request, explanation, judgement = on_shorter_windows(request, explanation, judgement, unfitted, chosen)
+    weighed = request.evidence and request.limit.allows("probabilities of the causes")
+    result = diagnosis_of(request, explanation, judgement)
+    return with_evidence(result, request, explanation.base, explanation.weights) if weighed else result

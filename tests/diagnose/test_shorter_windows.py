@@ -10,7 +10,7 @@ from deepkoco.diagnose.baseline import baseline_from
 from deepkoco.diagnose.causes.disturbance import _pitches
 from deepkoco.diagnose.request import DiagnosisRequest
 from deepkoco.diagnose.residuals.residuals import missing_torque
-from deepkoco.diagnose.shorter_windows import explains_all, on_shorter_windows
+from deepkoco.diagnose.verdict.shorter_windows import explains_all, shorter_request
 from deepkoco.diagnose.window_choice import MUCH
 from deepkoco.fit.data.windows import cut_windows, moving
 from deepkoco.fit.fit import FitProblem
@@ -63,7 +63,7 @@ def test_shorter_windows_are_asked_where_much_is_left_and_nothing_is_named(
     judgement = SimpleNamespace(verdict=verdict, midway=None, final=final)
     said = []
     request = DiagnosisRequest([log], system, None, 1.5, 0, 24.0, (), said.append, 0.0)
-    shorter = on_shorter_windows(request, SimpleNamespace(base=base), judgement)
+    shorter = shorter_request(request, SimpleNamespace(base=base), judgement)
     assert (shorter is not None) == asked == bool(said)
     if shorter is not None:
         assert shorter.length == 0.25 * 1.5
