@@ -65,8 +65,10 @@ def followed_length(
         if len(windows) == 0 or samples_of(windows) < SHORTEST:
             break
         start = baseline_from(system, windows)
-        each = _each_left_out(windows, start, start.values)
-        left, away = float(each.median()), float(each.quantile(1.0 - FEW)) > RUNS_AWAY
+        error, motion = _errors_and_motions(windows, start, start.values)
+        left = float((error / motion).median())
+        # Where friction holds the unit, a simulation that slides is far off by the little motion of that window alone.
+        away = float((error / motion.clamp_min(float(motion.median()))).quantile(1.0 - FEW)) > RUNS_AWAY
         if left <= (LOST if healthy and share == 1.0 else FOLLOWS) and not away:
             return share * usual
         if left < least and not away:
@@ -119,14 +121,18 @@ def left_out(windows: Windows, start: Baseline, values: Mapping[str, float]) -> 
         start: Baseline of the system.
         values: Values of all parameters.
     """
-    return float(_each_left_out(windows, start, values).median())
+    error, motion = _errors_and_motions(windows, start, values)
+    return float((error / motion).median())
 
 
-def _each_left_out(windows: Windows, start: Baseline, values: Mapping[str, float]) -> Tensor:
+def _errors_and_motions(
+    windows: Windows, start: Baseline, values: Mapping[str, float]
+) -> tuple[Tensor, Tensor]:
+    """Squared errors and motions (W,) of some windows, in noise variances."""
     some = windows.take(np.unique(np.linspace(0, len(windows) - 1, SOME).astype(int)))
     problem = FitProblem(start.system, some)
     _, cost = problem.fit_states(values, some.state)
     value, valid = some.value, some.valid
     mean = (value * valid).sum(-1, keepdim=True) / valid.sum(-1, keepdim=True).clamp_min(1)
     motion = ((value - mean) * problem.weight).square().sum((1, 2))
-    return (cost / motion.clamp_min(1e-300)).nan_to_num(np.inf, np.inf)
+    return cost.nan_to_num(np.inf, np.inf), motion.clamp_min(1e-300)
