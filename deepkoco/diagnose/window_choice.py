@@ -55,8 +55,7 @@ def followed_length(
     """
     recordings = healthy or recordings
     usual, noise = window_length(system), estimate_channels(recordings, system)
-    least = nearest = np.inf
-    best, shown = None, usual
+    least, best = np.inf, usual
     for share in (*SHARES, *SHORTER):
         if share in SHORTER and least <= LOST:
             break
@@ -71,11 +70,10 @@ def followed_length(
         away = float((error / motion.clamp_min(float(motion.median()))).quantile(1.0 - FEW)) > RUNS_AWAY
         if left <= (LOST if healthy and share == 1.0 else FOLLOWS) and not away:
             return share * usual
-        if left < least and not away:
+        # Where the simulation follows no window, those that run away are no sign of an unstable plant.
+        if left < least and not (away and left <= LOST):
             least, best = left, share * usual
-        if left < nearest:
-            nearest, shown = left, share * usual
-    return shown if best is None else best
+    return best
 
 
 def length_for_enough(
