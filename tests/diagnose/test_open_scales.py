@@ -64,6 +64,7 @@ def test_without_a_gauge_nothing_is_added():
 
 
 @pytest.mark.study
+@pytest.mark.long
 def test_the_interval_of_a_load_holds_it_though_the_stiffness_is_off():
     unit = replace(go1_like(), stiffness=10.8)
     log, healthy = logs_of(unit, 2.0, "sin_time_square")

@@ -192,6 +192,7 @@ def test_small_effects_of_a_unit_are_no_lost_commands_and_a_delay_is_no_filter(n
 
 
 @pytest.mark.study
+@pytest.mark.long
 def test_damping_within_its_guessed_prior_is_named_and_what_any_unit_has_is_not(path):
     system = load_system(path)
     times = []

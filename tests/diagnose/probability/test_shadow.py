@@ -171,6 +171,7 @@ def test_a_lag_of_a_millisecond_is_nothing_before_encoders_of_little_noise(tmp_p
 
 
 @pytest.mark.study
+@pytest.mark.long
 def test_a_gain_beside_one_healthy_log_is_no_other_machine(tmp_path):
     # The first refit with a gain ended 64 nats below the machine without it, which it contains.
     handed = draw_case(38000, 8, 16.0).question(tmp_path).handed
