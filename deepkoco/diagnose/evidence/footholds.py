@@ -66,8 +66,8 @@ def from_halves(
 ) -> list[Trial]:
     """Return trials that start from fits of windows of half the length, as the refit does.
 
-    Where the refit finds no minimum, neither do most causes: a joint that sticks and slips shows many minima in a long
-    window. Each cause is fitted alone first, then with the baseline's parameters.
+    They are for causes whose fits of whole windows found no minimum: a joint that sticks and slips shows many minima in
+    a long window. Each cause is fitted alone first, then with the baseline's parameters.
     """
     halves = FitProblem(problem.system, halved(problem.windows))
     states, costs = halves.fit_states_each(values, halves.windows.state.repeat(len(values), 1, 1))

@@ -174,14 +174,14 @@ def rank(
             footholds = alone(problem, footholds, from_given, known, ITERATIONS if sharing else ALONE)
             trials += footholds
             # These starts are fitted to the end by themselves: in the first iterations the others look better.
-            fits = lower_ones(fits, fit_best(problem, footholds, reference, known, worth))
+            fits = _lower_ones(fits, fit_best(problem, footholds, reference, known, worth))
         # Where whole windows led to no minimum, another start of the same windows may end in a false one.
         hard = [k for k, p in enumerate(from_given) if p.cause.name in stuck or p.cause.name not in fits]
         if hard and not sharing:
             hard_points, there = [from_given[k] for k in hard], [values[k] for k in hard]
             footholds = from_halves(problem, start, accepted, hard_points, there, reference)
             trials += footholds
-            fits = lower_ones(fits, fit_best(problem, footholds, reference, worth=worth))
+            fits = _lower_ones(fits, fit_best(problem, footholds, reference, worth=worth))
     promised = largest_promises(promises)
     unfitted = tuple(name for name, fit in fits.items() if fit.diverged)
     fits = {name: fit for name, fit in fits.items() if not fit.diverged}
@@ -222,7 +222,7 @@ def rank(
     return replace(ranking, unfitted=unfitted, beside=tuple(names), asked=tuple(c.name for c in everything))
 
 
-def lower_ones(fits: Mapping[str, Fit], others: Mapping[str, Fit]) -> dict[str, Fit]:
+def _lower_ones(fits: Mapping[str, Fit], others: Mapping[str, Fit]) -> dict[str, Fit]:
     """Return the fit of lower cost of each name."""
     return {**fits, **{n: f for n, f in others.items() if n not in fits or f.cost < fits[n].cost}}
 

@@ -169,7 +169,9 @@ def moments_beside(moments: Sequence[float], shown: Sequence[bool]) -> list[floa
 
     Args:
         moments: The three moments [kg m2].
-        shown: Which of them a motion shows.
+        shown: Which of the three a motion shows.
+
+    Source: the triangle inequality of moments, as for :func:`.inertias.nearest_inertia`.
     """
     if all(shown):
         return [float(m) for m in physical_moments(moments)]
