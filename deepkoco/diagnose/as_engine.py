@@ -24,19 +24,21 @@ from typing import TypeVar
 import numpy as np
 
 from deepkoco.diagnose.baseline import Baseline
-from deepkoco.diagnose.left_of_logs import NOISE, Left, LeftOfLogs
+from deepkoco.diagnose.left_of_logs import LESS, NOISE, Left, LeftOfLogs
 from deepkoco.fit.data.own_steps import nearest_own_step
 from deepkoco.fit.data.windows import cut_windows, estimate_channels, moving
+from deepkoco.fit.solve.lazy_batch import MANY
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import System
 from deepkoco.systems.engine_names import MUJOCO, SEMI_IMPLICIT
 
-SOME = 16  # windows that decide
+SOME, FEW = 16, 6  # windows that decide, and those that do where a fit has many parameters
 # Noise variances that a simulation by the engine leaves of its own logs at most. A real robot that its file describes
 # badly leaves hundreds with either law, and which of two refits ends lower says nothing of friction.
 NEAR = 10.0
 FAR = 1000.0  # noise variances, from which the logs say nothing of steps either
+LATE = 0.1  # share that a delay of all commands leaves, where it hides the steps of an engine
 LONGEST = 4.0  # step that a parabola may lead to, over the longest of its three
 SHARES = (0.5, 0.125)  # of the usual step, which are tried first
 DIGITS = 2  # of a step that is found
@@ -69,7 +71,8 @@ def as_engine_if_shown(
     windows = windows.take(moving(windows)) if len(windows) else windows
     if len(windows) == 0:
         return system
-    windows = windows.take(np.unique(np.linspace(0, len(windows) - 1, SOME).astype(int)))
+    many = len(system.parameters) + windows.state.shape[1] >= MANY
+    windows = windows.take(np.unique(np.linspace(0, len(windows) - 1, FEW if many else SOME).astype(int)))
     left, nearest = LeftOfLogs(windows), partial(nearest_own_step, windows)
     try:
         held = left(system)
@@ -80,7 +83,8 @@ def as_engine_if_shown(
         return law
     with contextlib.suppress(DivergedError):
         # Late commands hide that an engine has them early.
-        if (late := left.late(system)).less_than(held):
+        late = left.late(system, held)
+        if late.less_than(held) and (late.per_sample <= NEAR or late.cost <= LATE * held.cost):
             other, _ = closest(system, left.late, nearest, NOISE, late)
             return law if other.engine is None else other
     return law
@@ -169,10 +173,6 @@ def _as_rigid(
             wanted = 0.5 * longest
     if wanted == usual.engine_step and not any(ask(share * usual.engine_step) for share in SHARES):
         return held, machine
-    # A step may have led to parameters that the machine's own fit had missed.
-    found[0.0] = min(held, left(machine), key=lambda own: own.cost)
-    if not any(own.cost < found[0.0].cost for own in found.values()):
-        return found[0.0], machine
     if len(found) > 2:
         wanted = _least({h: own.cost for h, own in found.items()})
     # A parabola from 0 to 1 ms tells 4 ms roughly, and the next ones better.
@@ -180,18 +180,35 @@ def _as_rigid(
         wanted = nearest(wanted)
         if any(abs(wanted - step) <= SAME * step for step in found):
             break
+        before = _best(found)
         try:
             ask(wanted)
         except DivergedError:
             break
+        if not _comes_near(_best(found), before):
+            return held, machine
         near = sorted(found, key=lambda step: found[step].cost)[:3]
         wanted = _least({step: found[step].cost for step in near})
-    # Each fit started at the parameters of another step, which may be far.
+    # Each fit started at the parameters of another step, which may be far. A step may have led to parameters that the
+    # machine's own fit had missed.
+    found[0.0] = min(held, left(machine), key=lambda own: own.cost)
     for step in sorted(found, key=lambda step: found[step].cost)[:2]:
         found[step] = min(found[step], left(systems[step]), key=lambda own: own.cost)
     best = min(found, key=lambda step: found[step].cost)
     log.debug("%s: in semi-implicit steps %s", machine.name, found)
     return found[best], systems[best]
+
+
+def _best(found: Mapping[float, Left]) -> Left:
+    return min(found.values(), key=lambda own: own.cost)
+
+
+def _comes_near(now: Left, before: Left) -> bool:
+    """Whether a better guess of the steps leaves so much less that these may be the steps of the logs.
+
+    What is left grows with the square of the distance from these.
+    """
+    return now.per_sample <= NEAR or now.cost <= LESS * before.cost
 
 
 def _in_steps(machine: S, name: str, step: float) -> S:

@@ -14,7 +14,7 @@ from deepkoco.diagnose.residuals.residuals import MAX_CHI2_SD, white_limit
 from deepkoco.diagnose.run_to_run import RunToRun
 from deepkoco.fit.data.halves import halved
 from deepkoco.fit.data.windows import Windows
-from deepkoco.fit.fit import Fit, FitProblem, Trial
+from deepkoco.fit.fit import ITERATIONS, Fit, FitProblem, Trial
 from deepkoco.fit.simulate.push import Push
 from deepkoco.fit.solve.dispersion import dispersion
 from deepkoco.fit.solve.fine_steps import MOST, STEP_ROUNDS, fine_steps, with_steps_cut
@@ -256,13 +256,16 @@ def refit(
     return again if not again.diverged and again.cost < found.cost else found
 
 
-def on_half_windows(start: Baseline, windows: Windows, names: tuple[str, ...]) -> Fit:
+def on_half_windows(
+    start: Baseline, windows: Windows, names: tuple[str, ...], iterations: int = ITERATIONS
+) -> Fit:
     """Fit the parameters on windows of half the length; with many parameters, on an even choice of them.
 
     Args:
         start: Prior and present values.
         windows: The windows.
         names: Parameters to free.
+        iterations: Largest number of simulations.
 
     Raises:
         DivergedError: The simulation diverges at the present values.
@@ -270,7 +273,7 @@ def on_half_windows(start: Baseline, windows: Windows, names: tuple[str, ...]) -
     halves = halved(windows.take(few_windows(windows, len(names))))
     short = FitProblem(start.system, halves)
     state, _ = short.fit_states(start.values, halves.state)
-    return short.fit_one(Trial("half windows", names, start.prior, start.values, state))
+    return short.fit_one(Trial("half windows", names, start.prior, start.values, state), iterations)
 
 
 def few_windows(windows: Windows, parameters: int) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -11,15 +12,22 @@ from deepkoco.diagnose.causes.timing import STARTS
 from deepkoco.fit.data.halves import halved
 from deepkoco.fit.data.own_steps import in_steps_of
 from deepkoco.fit.data.windows import Windows
-from deepkoco.fit.fit import Fit, FitProblem, Trial
+from deepkoco.fit.fit import ITERATIONS, Fit, FitProblem, Trial
 from deepkoco.fit.solve.fine_steps import fine_steps, with_steps_cut
+from deepkoco.fit.solve.lazy_batch import MANY
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.systems import System
 
 # Fall of the cost, in noise variances that the better one leaves, from which it counts. Logs without rest and with much
 # noise leave both alike.
 MARGIN = 10.0
+# Share that is left where something that matters is changed: a robot that its file describes badly leaves a little less
+# with any change.
+LESS = 0.5
 NOISE = 1.2  # noise variances that a simulation leaves of its own logs
+# Iterations of further fits of many parameters. Each begins where the one before ended, and other steps change little.
+# A robot that its file describes badly would go on for long. The first of them show whether a delay matters.
+FURTHER, FIRST = 16, 4
 DELAYS = ("actuation_delay(all).delay", "actuation_delay.delay")  # of several commands, and of one
 
 
@@ -59,7 +67,7 @@ class LeftOfLogs:
         """
         start, windows = self._start(law)
         names = start.prior.names
-        fit = on_half_windows(start, windows, names)
+        fit = on_half_windows(start, windows, names, self._iterations(windows, names))
         if law.engine is None and fit.chi2 > NOISE * max(windows.samples, 1):
             # Steps that are too long for these logs leave something, too, and an engine's own are shorter.
             problem_of = partial(FitProblem, start.system)
@@ -71,8 +79,12 @@ class LeftOfLogs:
                 fit = problem_of(with_steps_cut(halves, parts)).fit_one(trial)
         return self._kept(fit, names)
 
-    def late(self, law: System) -> Left:
+    def late(self, law: System, than: Left | None = None) -> Left:
         """As a call, with commands that act later than they are sent, by a time that is fitted too.
+
+        Args:
+            law: The robot.
+            than: What is left without; a fit of many parameters that begins to leave much less than this goes on.
 
         Raises:
             DivergedError: The simulation diverges.
@@ -87,10 +99,20 @@ class LeftOfLogs:
         state, _ = problem.fit_states(start.values, halves.state)
         begins = [self._values[name]] if name in self._values else STARTS
         trials = [Trial("late", prior.names, prior, {**start.values, name: at}, state) for at in begins]
-        fits = [fit for fit in problem.fit(trials) if not fit.diverged]
+        steps = self._iterations(halves, prior.names)
+        some = FIRST if than is not None and steps < ITERATIONS else steps
+        fits = [fit for fit in problem.fit(trials, some) if not fit.diverged]
         if not fits:
             raise DivergedError("a simulation with late commands diverges")
+        best = min(fits, key=lambda fit: fit.cost)
+        if than is not None and some < steps and best.cost <= LESS * than.cost:
+            trial = Trial("late", prior.names, prior, best.values, best.state, best.nuisance)
+            fits = [best, *(fit for fit in problem.fit([trial], steps) if not fit.diverged)]
         return self._kept(min(fits, key=lambda fit: fit.cost), prior.names)
+
+    def _iterations(self, windows: Windows, names: Sequence[str]) -> int:
+        many = len(names) + windows.state.shape[1] >= MANY
+        return FURTHER if many and self._values else ITERATIONS
 
     def _start(self, law: System) -> tuple[Baseline, Windows]:
         start = baseline_from(law, self.windows)

@@ -21,7 +21,9 @@ from deepkoco.fit.solve.scaled_inverse import DivergedError, scaled_inverse
 from deepkoco.fit.solve.state_search import search_states
 from deepkoco.fit.tangent import Tangent, simulated
 
-__all__ = ["Fit", "FitProblem", "Trial", "channel_delays"]
+__all__ = ["ITERATIONS", "Fit", "FitProblem", "Trial", "channel_delays"]
+
+ITERATIONS = 25  # of a fit at most
 
 
 class FitProblem(ShootingProblem):
@@ -85,7 +87,7 @@ class FitProblem(ShootingProblem):
     def fit(
         self,
         trials: Sequence[Trial],
-        iterations: int = 25,
+        iterations: int = ITERATIONS,
         tolerance: float = TOLERANCE,
         known: FrozenSlopes | None = None,
         exact: bool = True,
@@ -133,7 +135,7 @@ class FitProblem(ShootingProblem):
         tangent = Tangent.at(self, theta, columns, state)
         return slopes_at(self, tangent, simulated(self, [tangent], nuisance[None]), names)
 
-    def fit_one(self, trial: Trial, iterations: int = 25, tolerance: float = TOLERANCE) -> Fit:
+    def fit_one(self, trial: Trial, iterations: int = ITERATIONS, tolerance: float = TOLERANCE) -> Fit:
         """As :meth:`fit` for one trial, but raises if it diverges.
 
         Raises:

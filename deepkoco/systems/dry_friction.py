@@ -201,10 +201,26 @@ def _rubbed_before(
     creeps: Creeps,
     ahead: Values,
 ) -> Rubbed:
-    """As :func:`rubbed`, with friction that is found before the armatures ``ahead`` slow down the step.
+    """As :func:`rubbed`, with friction that is found before the armatures ``ahead`` slow down the step."""
+    bare, early = without_ahead(before, after, inverse, h, ahead)
+    found = rubbed(before, early, applied, slide, stick, bare, h, creeps)
+    return with_ahead(before, after, applied, found, inverse, h)
+
+
+def without_ahead(
+    before: Values, after: Values, inverse: tuple[Values, ...], h: float, ahead: Values
+) -> tuple[tuple[Values, ...], Values]:
+    """Inverse inertia and speeds after a step without the armatures that an engine adds to its steps alone.
 
     With the inertia M + D of the step, D = diag(ahead), the accelerations before are a + M^-1 D a. The inverse of M
     follows from that of M + D by a rank-one update for each joint (Sherman and Morrison).
+
+    Args:
+        before: J speeds at the start of the step.
+        after: J speeds after the step, with these armatures.
+        inverse: J rows of the inverse inertia, with these armatures.
+        h: Step [s].
+        ahead: J armatures [kg m2 or kg].
     """
     joints = range(len(before))
     bare = [list(row) for row in inverse]
@@ -214,24 +230,28 @@ def _rubbed_before(
         bare = [[bare[k][i] + share * column[k] * bare[j][i] for i in joints] for k in joints]
     mean = [(b - a) / h for a, b in zip(before, after, strict=True)]
     first = [mean[k] + sum(bare[k][i] * ahead[i] * mean[i] for i in joints) for k in joints]
-    found = rubbed(
-        before,
-        tuple(v + h * a for v, a in zip(before, first, strict=True)),
-        applied,
-        slide,
-        stick,
-        tuple(tuple(row) for row in bare),
-        h,
-        creeps,
-    )
+    return tuple(tuple(row) for row in bare), tuple(v + h * a for v, a in zip(before, first, strict=True))
+
+
+def with_ahead(
+    before: Values, after: Values, applied: Levels, found: Rubbed, inverse: tuple[Values, ...], h: float
+) -> Rubbed:
+    """Return the motion of a step with armatures of an engine, for friction loads that were found without them.
+
+    Args:
+        before, after, inverse, h: As for :func:`without_ahead`.
+        applied: J constant friction loads of the step [N m or N]; None for a joint without dry friction.
+        found: Motion and loads without these armatures.
+    """
     changed = {
         j: new - given
         for j, (given, new) in enumerate(zip(applied, found.load, strict=True))
         if given is not None and new is not None
     }
     speed, moved = [], []
-    for k in joints:
-        end = before[k] + h * (mean[k] + sum(inverse[k][j] * load for j, load in changed.items()))
+    for k in range(len(before)):
+        mean = (after[k] - before[k]) / h
+        end = before[k] + h * (mean + sum(inverse[k][j] * load for j, load in changed.items()))
         bend = found.moved[k] - 0.5 * h * (before[k] + found.speed[k])
         speed.append(end)
         moved.append(0.5 * h * (before[k] + end) + bend)

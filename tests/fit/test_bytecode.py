@@ -20,7 +20,7 @@ from deepkoco.fit.simulate.bytecode.machine import BLOCK, execute
 from deepkoco.fit.simulate.bytecode.translate import Nodes, Rows, instructions, translated
 from deepkoco.fit.simulate.simulator import integrate
 from deepkoco.graph.execution.fused.trace import TraceError, trace
-from deepkoco.systems import ExtendedSystem, make_system
+from deepkoco.systems import ExtendedSystem, any_system, make_system
 from deepkoco.systems.effects import effects_of
 
 STEP, STEPS, LANES = 0.001, 200, 5
@@ -90,6 +90,43 @@ def test_every_effect_in_the_equations_moves_a_system_as_in_torch(name, monkeypa
         pushed = torch.from_numpy(rng.normal(size=(base.joints, LANES, 3, STEPS))) if number % 2 else None
         arguments = drawn(system, rng), started(system, rng), pushed
         assert_same(*both(monkeypatch, system, windows_of(base, rng), *arguments))
+
+
+TWO_LINKS = """
+<mujoco>
+  <worldbody>
+    <body>
+      <joint name="shoulder" axis="0 1 0" damping="0.1" frictionloss="0.3" armature="0.05"/>
+      <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02" mass="0.8"/>
+      <body pos="0.3 0 0">
+        <joint name="elbow" axis="0 1 0" damping="0.05" frictionloss="0.15" armature="0.02"/>
+        <geom type="capsule" fromto="0 0 0 0.25 0 0" size="0.02" mass="0.5"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><motor joint="shoulder"/><motor joint="elbow"/></actuator>
+</mujoco>
+"""
+
+
+@pytest.mark.parametrize("effect", ["bristle(elbow)", "lugre(shoulder)"])
+@pytest.mark.parametrize("engine", ["MuJoCo", "semi-implicit"])
+def test_memories_act_beside_the_friction_of_an_engine_as_in_torch(engine, effect, monkeypatch, tmp_path):
+    (tmp_path / "arm.xml").write_text(TWO_LINKS)
+    arm = any_system(tmp_path / "arm.xml").with_engine(engine, STEP)
+    rng, system = np.random.default_rng(4), ExtendedSystem(arm, [effect])
+    windows = windows_of(system, rng)
+    for k in range(len(windows)):
+        # In torch all lanes of a window take the step of the one that turns, so each is simulated alone.
+        alone, values, start = (
+            windows.take(np.array([k])),
+            drawn(system, rng, 1),
+            started(system, rng, 1)[:, k : k + 1],
+        )
+        assert values[f"{effect}.level"] > 0.0
+        fast, slow = both(monkeypatch, system, alone, values, start)
+        assert_same(fast, slow)
+        assert any(bool((v[1:] * v[:-1] <= 0.0).any()) for v in fast.value[2:])  # joints turn or rest
 
 
 def test_effects_act_in_their_lanes_alone(monkeypatch):

@@ -185,6 +185,17 @@ def turning(equations: Equations, angle: Values, speed: Values, drive: Drive, st
         equations, angle, speed, drive: As for :func:`step_of`.
         step: Its result.
     """
+    found = near_of(equations, angle, speed, drive, step)
+    return torch.zeros(0, dtype=torch.long) if found is None else found.any(-1).nonzero()[:, 0]
+
+
+def near_of(equations: Equations, angle: Values, speed: Values, drive: Drive, step: Step) -> Tensor | None:
+    """Where a joint with dry friction turns, comes to rest, is at rest or creeps (W, L); None where none has any.
+
+    Args:
+        equations, angle, speed, drive: As for :func:`step_of`.
+        step: Its result.
+    """
     found: Tensor | None = None
     friction = equations.friction
     levels = friction.steady
@@ -192,9 +203,9 @@ def turning(equations: Equations, angle: Values, speed: Values, drive: Drive, st
         efforts, times = drive.efforts[0], drive.times[0]
         levels = friction.levels(Motion(angle, speed, efforts, None, times, equations.smoothing))
     for j in friction.joints:
-        near = _binds(friction, levels, step, speed, step.speed, j).any(-1)
+        near = _binds(friction, levels, step, speed, step.speed, j)
         found = near if found is None else found | near
-    return torch.zeros(0, dtype=torch.long) if found is None else found.nonzero()[:, 0]
+    return found
 
 
 def _binds(
@@ -241,19 +252,23 @@ def corrected(
     at = contact_of(equations, angle, speed, drive, direction)
     if equations.impulsive:
         found = rubbed(speed, step.speed, at.applied, at.slide, at.slide, at.inverse, h, whole=True)
-        return _impelled(angle, speed, found, at.stick, direction, h)
+        return impelled(angle, speed, found, at.stick, direction, h)
     creeps, ahead = equations.friction.creeps, equations.friction.ahead
     found = rubbed(speed, step.speed, at.applied, at.slide, at.stick, at.inverse, h, creeps, ahead)
     again, direction, applied = step_again(equations, angle, speed, drive, direction, at, found.load, h)
     found = rubbed(speed, again.speed, applied, at.slide, at.stick, at.inverse, h, creeps, ahead)
     bound = bound_of(angle, speed, again, direction, at.stick, found, h)
-    return bound if creeps is None else _with_mean_ends(equations.friction, at.slide, speed, bound, h)
+    return bound if creeps is None else with_mean_ends(equations.friction, at.slide, speed, bound, h)
 
 
-def _impelled(
-    angle: Values, speed: Values, found: Rubbed, stick: Levels, direction: Levels, h: float
-) -> Step:
-    """Return the semi-implicit step with the impulses of friction that are found."""
+def impelled(angle: Values, speed: Values, found: Rubbed, stick: Levels, direction: Levels, h: float) -> Step:
+    """Return the semi-implicit step with the impulses of friction that are found.
+
+    Args:
+        angle, speed, direction, h: As for :func:`step_of`.
+        found: Motion after the step with dry friction.
+        stick: J levels [N m or N].
+    """
     mean = tuple((after - before) / h for after, before in zip(found.speed, speed, strict=True))
     hold, _, _ = as_shares(found.hold, stick, direction)
     rest = tuple(
@@ -337,8 +352,15 @@ def bound_of(
     return Step(tuple(angles), found.speed, tuple(firsts), tuple(lasts), tuple(rest))
 
 
-def _with_mean_ends(friction: DryFriction, slide: Levels, speed: Values, step: Step, h: float) -> Step:
-    """The step with its mean acceleration at both ends for joints that creep: their friction changes within it."""
+def with_mean_ends(friction: DryFriction, slide: Levels, speed: Values, step: Step, h: float) -> Step:
+    """Return the step with its mean acceleration at both ends for joints that creep: their friction changes within it.
+
+    Args:
+        friction: Levels of the dry friction.
+        slide: J levels of joints that move [N m or N].
+        speed, h: As for :func:`step_of`.
+        step: The step with dry friction.
+    """
     first, last = list(step.first), list(step.last)
     for j in friction.joints:
         creeps, mean = _binds(friction, slide, step, speed, step.speed, j), (step.speed[j] - speed[j]) / h

@@ -18,7 +18,7 @@ from deepkoco.systems.sines import FARTHEST, near_sine_and_cosine
 from deepkoco.systems.uncounted import UNCOUNTED
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "2e6d28699e0f1b16"
+COMPILED_WITH = "9e36be09292fd837"
 
 OPCODES = (
     "add", "sub", "mul", "div", "neg", "abs", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh",
@@ -176,11 +176,14 @@ def execute(code: np.ndarray, table: np.ndarray, n: int) -> None:
 
 
 @njit(error_model="numpy", nogil=True, cache=True)
-def bind(table, near, n, state_rows, rubbing, level_rows, inverse_rows, rows, h):
+def bind(
+    table, near, n, state_rows, rubbing, level_rows, inverse_rows, rows, creep_rows, creep_rates, impulsive, h
+):  # fmt: skip
     """Find the friction loads of the simulations in which a joint turns, rests or leaves; as :func:`rubbed`.
 
     Args:
-        table, n, state_rows, rubbing, level_rows, inverse_rows, h: As for :func:`roll`.
+        table, n, state_rows, rubbing, level_rows, inverse_rows, creep_rows, creep_rates, impulsive, h: As for
+            :func:`roll`.
         near: (n,) whether friction loads are found.
         rows: As ``first_rub`` there.
     """
@@ -190,7 +193,7 @@ def bind(table, near, n, state_rows, rubbing, level_rows, inverse_rows, rows, h)
     count = picked.shape[0]
     before, after = np.empty((joints, count)), np.empty((joints, count))
     load, slide, stick = np.empty((r, count)), np.empty((r, count)), np.empty((r, count))
-    inverse = np.empty((joints, joints, count))
+    inverse, creeps = np.empty((joints, joints, count)), np.zeros((r, 2, count))
     for i in range(count):
         at = picked[i]
         for j in range(joints):
@@ -202,6 +205,8 @@ def bind(table, near, n, state_rows, rubbing, level_rows, inverse_rows, rows, h)
             load[k, i] = table[rows[joints + k], at]
             slide[k, i] = np.maximum(table[level_rows[k], at], 0.0)
             stick[k, i] = np.maximum(table[level_rows[r + k], at], 0.0)
+        for k in range(creep_rows.shape[0]):
+            creeps[k, 0, i], creeps[k, 1, i] = table[creep_rows[k], at], creep_rates[k]
     speed, moved, hold = np.empty((joints, count)), np.empty((joints, count)), np.empty((r, count))
     rub(
         before,
@@ -211,9 +216,9 @@ def bind(table, near, n, state_rows, rubbing, level_rows, inverse_rows, rows, h)
         stick,
         inverse,
         rubbing,
-        np.zeros((r, 2, count)),
+        creeps,
         h,
-        False,
+        impulsive,
         1 if r == 1 else SWEEPS,
         CLOSE,
         speed,
@@ -235,7 +240,8 @@ def bind(table, near, n, state_rows, rubbing, level_rows, inverse_rows, rows, h)
 def roll(
     prologue, step, contact, again, mend, remember, table, constants, fixed, parameters, known, state, state_rows,
     begin, slope, effort_rows, clock, time_rows, loads, load_rows, h, after_rows, near_row, rubbing, level_rows,
-    inverse_rows, first_rub, second_rub, mended_rows, memory_rows, value, first, last,
+    inverse_rows, first_rub, second_rub, creep_rows, creep_rates, impulsive, mended_rows, memory_rows, value, first,
+    last,
 ):  # fmt: skip
     """Simulate C windows over n steps, block by block.
 
@@ -262,7 +268,10 @@ def roll(
         level_rows: (2 r,) rows of their levels: moving, and at rest.
         inverse_rows: (J J,) rows of the inverse inertia.
         first_rub, second_rub: Rows of what friction loads are found from, and into which they go: J speeds and r loads;
-            J speeds, J ways, r loads and r holding loads.
+            J speeds, J ways, r loads and r holding loads. No rows of the second where they are found once.
+        creep_rows: (r,) rows of the inertia with which friction creeps; none where it holds.
+        creep_rates: (r,) rates at which it does.
+        impulsive: Whether friction is an impulse of the whole step.
         mended_rows: (4 J + r,) as ``after_rows`` after ``mend``, with the shares at rest.
         memory_rows: Rows of the memories after ``remember``.
         value: (2 J, n + 1, C) angles and speeds, filled.
@@ -304,9 +313,16 @@ def roll(
                     some = some or near[i] != 0.0
                 if some:
                     execute(contact, table, n)
-                    bind(table, near, n, state_rows, rubbing, level_rows, inverse_rows, first_rub, h)
-                    execute(again, table, n)
-                    bind(table, near, n, state_rows, rubbing, level_rows, inverse_rows, second_rub, h)
+                    bind(
+                        table, near, n, state_rows, rubbing, level_rows, inverse_rows, first_rub, creep_rows,
+                        creep_rates, impulsive, h,
+                    )  # fmt: skip
+                    if second_rub.shape[0]:
+                        execute(again, table, n)
+                        bind(
+                            table, near, n, state_rows, rubbing, level_rows, inverse_rows, second_rub, creep_rows,
+                            creep_rates, impulsive, h,
+                        )  # fmt: skip
                     execute(mend, table, n)
                     for r in range(4 * joints):
                         own, other = table[after_rows[r]], table[mended_rows[r]]

@@ -19,11 +19,14 @@ from deepkoco.fit.simulate.step import (
     contact_of,
     directions,
     equations_of,
+    impelled,
+    near_of,
     step_again,
     step_of,
+    with_mean_ends,
 )
 from deepkoco.graph.execution.fused.trace import TraceError, trace
-from deepkoco.systems.dry_friction import Levels, Rubbed
+from deepkoco.systems.dry_friction import Levels, Rubbed, with_ahead, without_ahead
 from deepkoco.systems.motion import Motion
 from deepkoco.systems.system import System
 
@@ -47,6 +50,9 @@ class Program:
         load_rows: (J,) or none.
         after_rows, near_row, mended_rows, memory_rows: Rows of results.
         level_rows, inverse_rows, first_rub, second_rub: Rows from which friction loads are found, and theirs.
+        creep_rows: Rows of the inertia with which each friction creeps; none where it holds.
+        creep_rates: The rates of these.
+        impulsive: Whether friction is an impulse of the whole step: it is found once.
         rubbing: Joints with dry friction.
         memories: Number of values that effects remember.
     """
@@ -72,6 +78,9 @@ class Program:
     inverse_rows: np.ndarray
     first_rub: np.ndarray
     second_rub: np.ndarray
+    creep_rows: np.ndarray
+    creep_rates: np.ndarray
+    impulsive: bool
     mended_rows: np.ndarray
     memory_rows: np.ndarray
     rubbing: tuple[int, ...]
@@ -101,11 +110,10 @@ class _Builder:
         plain = equations_of(
             system, {n: torch.tensor(v, dtype=torch.float64) for n, v in given.items()}, None
         )
-        if plain.friction.creeps is not None and plain.friction.joints:
-            raise TraceError("friction that creeps")
-        if plain.impulsive:
-            raise TraceError("steps of an engine")
         self.rubbing, self.memories = plain.friction.joints, len(plain.memory.parts)
+        self.impulsive, creeps = plain.impulsive, plain.friction.creeps
+        self.rates = () if creeps is None else tuple(creeps[j].rate for j in self.rubbing)
+        self.ahead = bool(self.rubbing) and plain.friction.ahead is not None
         count, joints = len(system.commands), range(system.joints)
         zero = torch.zeros(ONE, dtype=torch.float64)
         self.state = [f"{x}.{j}" for x in ("q", "v") for j in joints]
@@ -117,10 +125,16 @@ class _Builder:
         self.after = [f"after.{x}.{j}" for x in ends for j in joints]
         self.levels = [f"{x}.{j}" for x in ("slide", "stick") for j in rubbing]
         self.inverse = [f"inverse.{j}.{k}" for j in joints for k in joints] if rubbing else []
+        self.soft = [f"creep.{j}" for j in rubbing] if self.rates else []
+        # Speeds from which friction loads are found: those after a step, or without the armatures of an engine.
+        self.early = [[f"early{n}.{j}" for j in joints] if self.ahead else [] for n in (1, 2)]
+        self.bare = [f"bare.{j}.{k}" for j in joints for k in joints] if self.ahead else []
         self.applied = [f"applied.{j}" for j in rubbing]
-        self.again = [f"again.{x}.{j}" for x in ends for j in joints] if rubbing else []
-        self.shares = [f"share.{j}" for j in rubbing]
-        self.loaded = [f"loaded.{j}" for j in rubbing]  # constant friction loads of the second step
+        twice = bool(rubbing) and not self.impulsive
+        self.again = [f"again.{x}.{j}" for x in ends for j in joints] if twice else []
+        self.shares = [f"share.{j}" for j in rubbing] if twice else []
+        # Constant friction loads of the second step.
+        self.loaded = [f"loaded.{j}" for j in rubbing] if twice else []
         # What a friction loop writes: speeds, ways, friction loads and holding loads.
         self.found = [
             [f"{x}{n}.{j}" for x in ("speed", "moved") for j in joints]
@@ -138,19 +152,24 @@ class _Builder:
             *self.after,
             *self.levels,
             *self.inverse,
+            *self.soft,
+            *self.bare,
+            *self.early[0],
             *self.applied,
             *self.again,
+            *self.early[1],
             *self.shares,
             *self.loaded,
         ]
-        found = [*self.found[0], *self.found[1]] if self.rubbing else []
+        found = [n for own in self.found[: 1 if self.impulsive else 2] for n in own] if self.rubbing else []
         inputs |= {n: nodes.add(("input", n)) for n in (*self.moving, *between, *found)}
         known = {n: torch.zeros(ONE, dtype=torch.float64) for n in inputs if n not in self.parameters}
         rubs = bool(self.rubbing)
+        twice = rubs and not self.impulsive
         stages = {
             "step": self._outputs(nodes, self._step, known, inputs),
             "contact": self._outputs(nodes, self._contact, known, inputs) if rubs else {},
-            "again": self._outputs(nodes, self._again, known, inputs) if rubs else {},
+            "again": self._outputs(nodes, self._again, known, inputs) if twice else {},
             "mend": self._outputs(nodes, self._mended, known, inputs) if rubs else {},
             "remember": self._outputs(nodes, self._remembered, known, inputs) if self.memories else {},
         }
@@ -178,6 +197,10 @@ class _Builder:
             return np.array([rows[stages[stage][n]] for n in names], dtype=np.int64)
 
         ends = [n.replace("after.", "end.") for n in self.after]
+        after, again = (
+            own or [f"{x}.v.{j}" for j in joints]
+            for own, x in zip(self.early, ("after", "again"), strict=True)
+        )
         return Program(
             prologue,
             code["step"],
@@ -197,9 +220,12 @@ class _Builder:
             places(self.after),
             rows[stages["step"]["near"]] if rubs else -1,
             places(self.levels),
-            places(self.inverse),
-            places([*(f"after.v.{j}" for j in joints), *self.applied, *self.found[0]] if rubs else []),
-            places([*(f"again.v.{j}" for j in joints), *self.loaded, *self.found[1]] if rubs else []),
+            places(self.bare or self.inverse),
+            places([*after, *self.applied, *self.found[0]] if rubs else []),
+            places([*again, *self.loaded, *self.found[1]] if twice else []),
+            places(self.soft),
+            np.array(self.rates, dtype=np.float64),
+            self.impulsive,
             results("mend", [*ends, *(f"rest.{j}" for j in self.rubbing)]) if rubs else places([]),
             results("remember", [f"m.{k}" for k in range(self.memories)]),
             self.rubbing,
@@ -226,6 +252,8 @@ class _Builder:
         angle, speed = (tuple(x[f"{s}.{j}"] for j in joints) for s in ("q", "v"))
         rest = tuple(x[f"r.{j}"] if j in self.rubbing else None for j in joints)
         efforts = [tuple(x[n] for n in names) for names in self.efforts]
+        if self.impulsive:  # a step of an engine has the mean effort
+            efforts = [efforts[1]] * 3
         t0, t1, t2 = (x[n] for n in self.times)
         loads = tuple(x[n] for n in self.loads) if self.loads else None
         memory = tuple(x[f"m.{k}"] for k in range(self.memories))
@@ -236,21 +264,25 @@ class _Builder:
         equations, angle, speed, drive, direction = self._given(x)
         step = step_of(equations, angle, speed, drive, direction, self.h)
         found = self._named(step, self.after)
-        if self.rubbing:
-            turns = [speed[j] * step.speed[j] <= 0.0 for j in self.rubbing]
-            near = turns[0]
-            for other in turns[1:]:
-                near = near | other
-            found["near"] = near
-        return found
+        near = near_of(equations, angle, speed, drive, step)
+        return found if near is None else {**found, "near": near}
 
     def _contact(self, x: dict[str, Tensor]) -> dict[str, Tensor]:
-        at = contact_of(*self._given(x))
+        equations, angle, speed, drive, direction = self._given(x)
+        at = contact_of(equations, angle, speed, drive, direction)
+        # An impulse has one level.
+        stick = at.slide if self.impulsive else at.stick
         found = {f"slide.{j}": at.slide[j] for j in self.rubbing} | {
-            f"stick.{j}": at.stick[j] for j in self.rubbing
+            f"stick.{j}": stick[j] for j in self.rubbing
         }
         found |= {f"applied.{j}": at.applied[j] for j in self.rubbing}
-        found |= {f"inverse.{j}.{k}": w for j, row in enumerate(at.inverse) for k, w in enumerate(row)}
+        found |= _as_table("inverse", at.inverse)
+        if (creeps := equations.friction.creeps) is not None:
+            found |= {f"creep.{j}": creeps[j].inertia.expand(ONE) for j in self.rubbing}
+        if (ahead := equations.friction.ahead) is not None and self.ahead:
+            after = tuple(x[f"after.v.{j}"] for j in range(self.joints))
+            bare, early = without_ahead(speed, after, at.inverse, self.h, ahead)
+            found |= _as_table("bare", bare) | {f"early1.{j}": v for j, v in enumerate(early)}
         return {n: v for n, v in found.items() if v is not None}
 
     def _again(self, x: dict[str, Tensor]) -> dict[str, Tensor]:
@@ -260,20 +292,35 @@ class _Builder:
         again, shares, applied = step_again(equations, angle, speed, drive, direction, at, load, self.h)
         found = self._named(again, self.again)
         found |= {f"share.{j}": v for j, v in enumerate(shares) if v is not None}
+        if (ahead := equations.friction.ahead) is not None and self.ahead:
+            _, early = without_ahead(speed, again.speed, self._inverse(x), self.h, ahead)
+            found |= {f"early2.{j}": v for j, v in enumerate(early)}
         return found | {f"loaded.{j}": v for j, v in enumerate(applied) if v is not None}
 
     def _mended(self, x: dict[str, Tensor]) -> dict[str, Tensor]:
-        joints = range(self.joints)
-        _, angle, speed, _, _ = self._given(x)
-        parts = [tuple(x[f"again.{s}.{j}"] for j in joints) for s in ("q", "v", "first", "last")]
-        again = Step(parts[0], parts[1], parts[2], parts[3], (None,) * self.joints)
-        speeds, ways = (tuple(x[f"{s}2.{j}"] for j in joints) for s in ("speed", "moved"))
-        found = Rubbed(speeds, ways, self._of_rubbing(x, "load2"), self._of_rubbing(x, "hold2"))
-        shares, stick = self._of_rubbing(x, "share"), self._of_rubbing(x, "stick")
-        step = bound_of(angle, speed, again, shares, stick, found, self.h)
+        joints, last = range(self.joints), 1 if self.impulsive else 2
+        equations, angle, speed, _, direction = self._given(x)
+        speeds, ways = (tuple(x[f"{s}{last}.{j}"] for j in joints) for s in ("speed", "moved"))
+        found = Rubbed(speeds, ways, self._of_rubbing(x, f"load{last}"), self._of_rubbing(x, f"hold{last}"))
+        slide, stick = self._of_rubbing(x, "slide"), self._of_rubbing(x, "stick")
+        if self.impulsive:
+            step = impelled(angle, speed, found, stick, direction, self.h)
+        else:
+            parts = [tuple(x[f"again.{s}.{j}"] for j in joints) for s in ("q", "v", "first", "last")]
+            again = Step(parts[0], parts[1], parts[2], parts[3], (None,) * self.joints)
+            if self.ahead:
+                loaded = self._of_rubbing(x, "loaded")
+                found = with_ahead(speed, again.speed, loaded, found, self._inverse(x), self.h)
+            step = bound_of(angle, speed, again, self._of_rubbing(x, "share"), stick, found, self.h)
+            if self.rates:
+                step = with_mean_ends(equations.friction, slide, speed, step, self.h)
         held = {f"rest.{j}": step.rest[j] for j in self.rubbing}
         ends = [n.replace("after.", "end.") for n in self.after]
         return {**self._named(step, ends), **{n: v for n, v in held.items() if v is not None}}
+
+    def _inverse(self, x: Mapping[str, Tensor]) -> tuple[tuple[Tensor, ...], ...]:
+        joints = range(self.joints)
+        return tuple(tuple(x[f"inverse.{j}.{k}"] for k in joints) for j in joints)
 
     def _of_rubbing(self, x: Mapping[str, Tensor], name: str) -> Levels:
         return tuple(x[f"{name}.{j}"] if j in self.rubbing else None for j in range(self.joints))
@@ -287,6 +334,10 @@ class _Builder:
     def _named(self, step: Step, names: Sequence[str]) -> dict[str, Tensor]:
         parts = (step.angle, step.speed, step.first, step.last)
         return dict(zip(names, (v for part in parts for v in part), strict=True))
+
+
+def _as_table(name: str, rows: Sequence[Sequence[Tensor]]) -> dict[str, Tensor]:
+    return {f"{name}.{j}.{k}": value for j, row in enumerate(rows) for k, value in enumerate(row)}
 
 
 __all__ = ["Program", "TraceError", "program_of"]
