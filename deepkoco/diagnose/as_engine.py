@@ -180,15 +180,17 @@ def _as_rigid(
         wanted = nearest(wanted)
         if any(abs(wanted - step) <= SAME * step for step in found):
             break
-        before = _best(found)
+        guessed, before = len(found) > 2, _best(found)
         try:
             ask(wanted)
         except DivergedError:
             break
-        if not _comes_near(_best(found), before):
+        if guessed and not _comes_near(_best(found), before):
             return held, machine
         near = sorted(found, key=lambda step: found[step].cost)[:3]
         wanted = _least({step: found[step].cost for step in near})
+    if _best(found).per_sample > NEAR:
+        return held, machine
     # Each fit started at the parameters of another step, which may be far. A step may have led to parameters that the
     # machine's own fit had missed.
     found[0.0] = min(held, left(machine), key=lambda own: own.cost)

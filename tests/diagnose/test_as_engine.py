@@ -137,14 +137,15 @@ def test_whole_windows_of_another_engine_leave_only_noise(slider):
 
 
 @pytest.mark.parametrize("share", [0.1, 0.24, 0.3, 1.0, 2.1])
-def test_short_and_long_steps_of_another_engine_are_found(slider, share):
+@pytest.mark.parametrize("much", [3.0, 300.0])
+def test_short_and_long_steps_of_another_engine_are_found(slider, share, much):
     best = share * slider.with_engine("semi-implicit").engine_step
 
     def left(law):
         if law.engine == "MuJoCo":
-            return Left(1e6, 50.0)
+            return Left(1e7, 900.0)
         away = (0.0 if law.engine is None else law.engine_step) / best - 1.0
-        return Left(1e4 * (0.9 + 3.0 * away**2), 0.9 + 3.0 * away**2)
+        return Left(1e4 * (0.9 + much * away**2), 0.9 + much * away**2)
 
     assert closest(slider, left)[0].engine_step == pytest.approx(best, rel=0.05)
 
@@ -188,6 +189,21 @@ def test_logs_that_no_step_follows_better_are_of_a_machine(slider):
 
     assert closest(slider, left)[0] is slider
     assert asked.count("semi-implicit") == 2
+
+
+@pytest.mark.parametrize("best", [0.0005, 0.002, 0.02])
+def test_a_robot_that_its_file_describes_badly_is_a_machine_after_few_fits(slider, best):
+    asked = []
+
+    def left(law):
+        asked.append((law.engine, law.engine_step))
+        step = law.engine_step or 0.0
+        leaves = 60.0 + 30.0 * min((step / best - 1.0) ** 2, 10.0)
+        return Left(1e4 * leaves, leaves)
+
+    assert closest(slider, left)[0] is slider
+    assert len(asked) <= 9
+    assert len([name for name, _ in asked if name == "semi-implicit"]) <= 4
 
 
 def test_a_model_file_that_states_steps_keeps_them(slider):
