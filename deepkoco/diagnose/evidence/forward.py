@@ -119,7 +119,7 @@ class Selection(SelectionTask):
         """
         self.compare_with(reference)
         for _ in range(MAX_ROUNDS):
-            kept = self._kept(reconsidered(self, found, 1))
+            kept = self._kept(reconsidered(self, found, 1, reference))
             if kept.accepted == found.accepted:
                 break
             found = kept

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
-from deepkoco.diagnose.causes import catalogue
+from deepkoco.diagnose.baseline import Baseline
+from deepkoco.diagnose.causes import Cause, catalogue
 from deepkoco.diagnose.evidence.elimination import without
 from deepkoco.diagnose.evidence.ranking import Ranking
 from deepkoco.diagnose.evidence.refine_ranking import classed, front_settled, with_fit
@@ -13,10 +15,13 @@ from deepkoco.diagnose.evidence.selection import PATIENCE, rank
 from deepkoco.diagnose.evidence.selection_task import SelectionTask
 from deepkoco.diagnose.progress import in_company_of
 from deepkoco.diagnose.residuals.residuals import dispersion, missing_torque
+from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.fit.solve.levenberg_marquardt import TOLERANCE
 
 
-def reconsidered(task: SelectionTask, found: Selected, least: int = 2) -> Selected:
+def reconsidered(
+    task: SelectionTask, found: Selected, least: int = 2, reference: Fit | None = None
+) -> Selected:
     """Compare each of several causes with all lasting causes again, with the other accepted causes in the model.
 
     The best cause while the others were missing need not be the best together with them. The class of a cause
@@ -26,6 +31,7 @@ def reconsidered(task: SelectionTask, found: Selected, least: int = 2) -> Select
         task: What is selected, and among which causes.
         found: The selection.
         least: Number of causes from which they are compared again.
+        reference: Refit without any cause, where it is known.
     """
     if len(found.accepted) < least or task.start.tempering > 1.0:
         return found
@@ -42,20 +48,38 @@ def reconsidered(task: SelectionTask, found: Selected, least: int = 2) -> Select
         if done or cause in healthy or not task.limit.allows(f"comparing {cause.name} again"):
             continue
         task.progress(f"comparing {cause.name} again{in_company_of(c.name for c in others)}")
-        (less,) = problem.fit([without(problem, start, accepted, cause, final)], PATIENCE, near)
+        less = reference
+        if others or less is None:
+            (less,) = problem.fit([without(problem, start, accepted, cause, final)], PATIENCE, near)
         if less.diverged:
             continue  # the others feed energy in which this cause takes up: nothing beside them alone can be compared
-        hints = task.hints(problem, less, missing_torque(problem, less), not others)
         # A push can improve any window that a missing cause fits badly. It therefore competes with no other
         # cause; only its time and size are fitted again.
         rivals = [cause] if cause.effect == "event" else lasting
-        ranking = rank(problem, start, less, others, hints, rivals, task.limit)
+        if rivals == [cause] and cause.effect != "event":
+            ranking = _of_one(problem, start, less, cause, others)
+        else:
+            hints = task.hints(problem, less, missing_torque(problem, less), not others)
+            ranking = rank(problem, start, less, others, hints, rivals, task.limit)
         ranking = front_settled(problem, start, others, with_fit(problem, start, ranking, cause, final))
         ranking, members = classed(problem, start, ranking, others, task.held)
         steps[k] = (ranking, members)
         accepted[k] = ranking.best.cause
         final = ranking.best.fit
     return replace(found, final=final, accepted=tuple(accepted), steps=tuple(steps))
+
+
+def _of_one(
+    problem: FitProblem, start: Baseline, less: Fit, cause: Cause, others: Sequence[Cause]
+) -> Ranking:
+    """Return a ranking in which one cause competes with none: its fit is known, and needs no other start."""
+    spread = dispersion(less, problem.windows)
+    deflation, samples = (
+        max(spread.deflation, start.least_deflation),
+        problem.windows.samples / spread.correlation,
+    )
+    beside = tuple(c.name for c in others)
+    return Ranking(less, (), spread, deflation, samples, beside=beside, asked=(cause.name,))
 
 
 def alone(task: SelectionTask, kept: Selected, first: Ranking) -> Selected:
