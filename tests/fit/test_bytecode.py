@@ -109,12 +109,12 @@ TWO_LINKS = """
 """
 
 
-@pytest.mark.parametrize("effect", ["bristle(elbow)", "lugre(shoulder)"])
+@pytest.mark.parametrize("effects", [["bristle(elbow)"], ["lugre(shoulder)", "stribeck(shoulder)"]], ids=str)
 @pytest.mark.parametrize("engine", ["MuJoCo", "semi-implicit"])
-def test_memories_act_beside_the_friction_of_an_engine_as_in_torch(engine, effect, monkeypatch, tmp_path):
+def test_memories_act_beside_the_friction_of_an_engine_as_in_torch(engine, effects, monkeypatch, tmp_path):
     (tmp_path / "arm.xml").write_text(TWO_LINKS)
     arm = any_system(tmp_path / "arm.xml").with_engine(engine, STEP)
-    rng, system = np.random.default_rng(4), ExtendedSystem(arm, [effect])
+    rng, system = np.random.default_rng(4), ExtendedSystem(arm, effects)
     windows = windows_of(system, rng)
     for k in range(len(windows)):
         # In torch all lanes of a window take the step of the one that turns, so each is simulated alone.
@@ -123,7 +123,7 @@ def test_memories_act_beside_the_friction_of_an_engine_as_in_torch(engine, effec
             drawn(system, rng, 1),
             started(system, rng, 1)[:, k : k + 1],
         )
-        assert values[f"{effect}.level"] > 0.0
+        assert values[f"{effects[0]}.level"] > 0.0
         fast, slow = both(monkeypatch, system, alone, values, start)
         assert_same(fast, slow)
         assert any(bool((v[1:] * v[:-1] <= 0.0).any()) for v in fast.value[2:])  # joints turn or rest

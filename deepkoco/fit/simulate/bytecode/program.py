@@ -201,6 +201,8 @@ class _Builder:
             own or [f"{x}.v.{j}" for j in joints]
             for own, x in zip(self.early, ("after", "again"), strict=True)
         )
+        slide = self.levels[: len(self.rubbing)]
+        levels = [*slide, *slide] if self.impulsive else self.levels  # an impulse has one level
         return Program(
             prologue,
             code["step"],
@@ -219,7 +221,7 @@ class _Builder:
             places(self.loads),
             places(self.after),
             rows[stages["step"]["near"]] if rubs else -1,
-            places(self.levels),
+            places(levels),
             places(self.bare or self.inverse),
             places([*after, *self.applied, *self.found[0]] if rubs else []),
             places([*again, *self.loaded, *self.found[1]] if twice else []),
@@ -270,10 +272,8 @@ class _Builder:
     def _contact(self, x: dict[str, Tensor]) -> dict[str, Tensor]:
         equations, angle, speed, drive, direction = self._given(x)
         at = contact_of(equations, angle, speed, drive, direction)
-        # An impulse has one level.
-        stick = at.slide if self.impulsive else at.stick
         found = {f"slide.{j}": at.slide[j] for j in self.rubbing} | {
-            f"stick.{j}": stick[j] for j in self.rubbing
+            f"stick.{j}": at.stick[j] for j in self.rubbing
         }
         found |= {f"applied.{j}": at.applied[j] for j in self.rubbing}
         found |= _as_table("inverse", at.inverse)
