@@ -17,14 +17,13 @@ from deepkoco.diagnose.causes import catalogue, causes_named, measured_channels,
 from deepkoco.diagnose.data import MIN_TRAINING_WINDOWS, cut_data
 from deepkoco.diagnose.diagnosis import Diagnosis
 from deepkoco.diagnose.evidence.selection import DETECTION
-from deepkoco.diagnose.explanation import begun
 from deepkoco.diagnose.healthy import learn_as_simulated
 from deepkoco.diagnose.longer_windows import on_longer_windows
 from deepkoco.diagnose.lost_rows import with_lost_rows_beside
 from deepkoco.diagnose.probability.shadow import with_evidence
 from deepkoco.diagnose.progress import Progress, silent
 from deepkoco.diagnose.request import DiagnosisRequest
-from deepkoco.diagnose.the_other_way import sooner, the_other_way
+from deepkoco.diagnose.the_other_way import the_other_way
 from deepkoco.diagnose.time_limit import TimeLimit
 from deepkoco.diagnose.verdict.elastic_drives import with_elastic_drives
 from deepkoco.diagnose.verdict.judgement import judge
@@ -157,8 +156,7 @@ def _diagnosed(
     request: DiagnosisRequest, start: Baseline, unfitted: Sequence[str] = (), chosen: bool = True
 ) -> Diagnosis:
     """Diagnose from one baseline: refit it and select causes, judge them, and build the result."""
-    request, at = sooner(request, begun(request, start))
-    explanation = explained(request, at.base.learned, unfitted, at=at)
+    explanation = explained(request, start, unfitted)
     request, explanation = with_lost_rows_beside(request, explanation, unfitted)
     request, explanation = the_other_way(request, explanation, unfitted)
     request, explanation = on_longer_windows(request, explanation)

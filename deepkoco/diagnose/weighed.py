@@ -25,7 +25,6 @@ from deepkoco.diagnose.evidence.minor import Minor
 from deepkoco.diagnose.evidence.selection import DETECTION
 from deepkoco.diagnose.explanation import (
     MOST_EXTENSIONS,
-    Begun,
     Explanation,
     begun,
     explain,
@@ -63,7 +62,6 @@ def explained(
     unfitted: Sequence[str] = (),
     joined: tuple[str, ...] = (),
     more: int = MOST_EXTENSIONS,
-    at: Begun | None = None,
 ) -> Explanation:
     """Return what explains the logs; of a unit of a model file, what weighs most.
 
@@ -73,9 +71,8 @@ def explained(
         unfitted: What could not be fitted so far, in words.
         joined: Names of causes that joined the baseline before.
         more: Times that causes may still join it because the healthy logs are consistent with them.
-        at: The first ranking of the causes; None makes it.
     """
-    at = begun(request, learned) if at is None else at
+    at = begun(request, learned)
     weights = weights_before(request, at)
     if weights is not None:
         nothing = nothing_at_once(request, at, weights, unfitted, joined)
