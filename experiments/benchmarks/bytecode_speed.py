@@ -18,8 +18,8 @@ import torch
 from torch import Tensor
 
 from deepkoco.fit.simulate.bytecode.along_windows import along_windows
+from deepkoco.fit.simulate.equations import equations_of
 from deepkoco.fit.simulate.nodes import Nodes
-from deepkoco.fit.simulate.step import equations_of
 from deepkoco.fit.simulate.torch_steps import StepsInput, in_torch
 from deepkoco.systems import ExtendedSystem, make_system, system_names
 from deepkoco.systems.effects import effects_of

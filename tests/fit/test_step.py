@@ -8,15 +8,8 @@ from hypothesis import strategies as st
 
 from deepkoco.fit.data.windows import cut_windows
 from deepkoco.fit.fit import FitProblem
-from deepkoco.fit.simulate.step import (
-    Drive,
-    Equations,
-    corrected,
-    directions,
-    replaced,
-    step_of,
-    turning,
-)
+from deepkoco.fit.simulate.equations import Equations
+from deepkoco.fit.simulate.step import Drive, corrected, directions, replaced, step_of, turning
 from deepkoco.systems import ExtendedSystem, make_system
 from deepkoco.systems.dry_friction import DryFriction
 from deepkoco.systems.effects import effects_of

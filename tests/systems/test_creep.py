@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from deepkoco.fit.simulate.step import equations_of
+from deepkoco.fit.simulate.equations import equations_of
 from deepkoco.fit.simulate.torch_steps import StepsInput, in_torch
 from deepkoco.systems import ExtendedSystem, load_model, load_system, save_model
 from deepkoco.systems.creep import Creep, slide_and_creep

@@ -6,7 +6,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deepkoco.fit.simulate.step import Drive, Equations, corrected, directions, step_of, turning
+from deepkoco.fit.simulate.equations import Equations
+from deepkoco.fit.simulate.step import Drive, corrected, directions, step_of, turning
 from deepkoco.systems import ExtendedSystem, make_system
 from deepkoco.systems.stick_slip import Joints, StickSlip
 from deepkoco.systems.with_speeds import WithSpeeds

@@ -12,11 +12,11 @@ from deepkoco.fit.data.per_log_differences import amounts, of_windows
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.simulate.bytecode.along_windows import along_windows, has_program
 from deepkoco.fit.simulate.command_effort import command_efforts
+from deepkoco.fit.simulate.equations import equations_of, friction_of
 from deepkoco.fit.simulate.interpolation import states_at
 from deepkoco.fit.simulate.nodes import Nodes
 from deepkoco.fit.simulate.play import behind_play
 from deepkoco.fit.simulate.sensor_filter import filtered
-from deepkoco.fit.simulate.step import equations_of, friction_of
 from deepkoco.fit.simulate.torch_steps import StepsInput, in_torch
 from deepkoco.systems import System
 from deepkoco.systems.channel_delay import ahead_of_latest, latest

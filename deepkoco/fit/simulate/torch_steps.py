@@ -9,18 +9,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from deepkoco.fit.simulate.equations import Equations
 from deepkoco.fit.simulate.nodes import Nodes
-from deepkoco.fit.simulate.step import (
-    Drive,
-    Equations,
-    Step,
-    corrected,
-    directions,
-    replaced,
-    rows_of,
-    step_of,
-    turning,
-)
+from deepkoco.fit.simulate.step import Drive, Step, corrected, directions, replaced, rows_of, step_of, turning
 from deepkoco.systems.dry_friction import Levels
 from deepkoco.systems.motion import Motion
 

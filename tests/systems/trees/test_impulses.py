@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 
-from deepkoco.fit.simulate.step import equations_of
+from deepkoco.fit.simulate.equations import equations_of
 from deepkoco.fit.simulate.torch_steps import StepsInput, in_torch
 from deepkoco.systems import ExtendedSystem, load_system
 from deepkoco.systems.dry_friction import slide_or_stop

@@ -10,8 +10,8 @@ from deepkoco.fit.data.noise import Noise
 from deepkoco.fit.data.windows import CommandSeries, Windows
 from deepkoco.fit.shooting import ShootingProblem
 from deepkoco.fit.simulate import simulator
+from deepkoco.fit.simulate.equations import friction_of
 from deepkoco.fit.simulate.simulator import integrate
-from deepkoco.fit.simulate.step import friction_of
 from deepkoco.systems import ExtendedSystem
 from deepkoco.systems.effects import effects_of
 from deepkoco.systems.effects.learned import is_weight

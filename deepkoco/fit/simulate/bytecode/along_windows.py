@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from deepkoco.fit.simulate.bytecode.program import Program, TraceError, program_of
+from deepkoco.fit.simulate.equations import equations_of
 from deepkoco.fit.simulate.nodes import Nodes
-from deepkoco.fit.simulate.step import equations_of
 from deepkoco.fit.simulate.torch_steps import StepsInput, first_memory, in_torch
 from deepkoco.systems import ExtendedSystem, System
 from deepkoco.systems.plain import is_plain

@@ -10,15 +10,14 @@ import torch
 from torch import Tensor
 
 from deepkoco.fit.simulate.bytecode.translate import Nodes, Rows, instructions, needed_for, translated
+from deepkoco.fit.simulate.equations import Equations, equations_of
 from deepkoco.fit.simulate.step import (
     Contact,
     Drive,
-    Equations,
     Step,
     bound_of,
     contact_of,
     directions,
-    equations_of,
     impelled,
     near_of,
     step_again,
