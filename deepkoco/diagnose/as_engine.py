@@ -129,8 +129,9 @@ def _as_in_file(machine: S, left: Callable[[S], Left], held: Left, near: float) 
     assert of_file.engine_step is not None
     best, simulated = left(of_file), of_file
     log.debug("%s: %s as a machine, %s as in %s", machine.name, held, best, of_file.engine)
-    # Steps of 2 ms for 0.5 ms can leave only noise here, and look like a filter of the sensors and lost commands.
-    if NOISE < min(best.per_sample, held.per_sample) <= FAR or best.less_than(held):
+    # Steps of 2 ms for 0.5 ms can leave only noise here, and look like a filter of the sensors and lost commands. A
+    # machine can leave only noise of steps of 0.5 ms, too, and less than steps of 2 ms do.
+    if min(best.per_sample, held.per_sample) <= FAR:
         step = of_file.engine_step
         with contextlib.suppress(DivergedError):  # the step of the file then stands
             costs = {step: best.cost}

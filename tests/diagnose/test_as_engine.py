@@ -164,6 +164,20 @@ def test_a_step_of_mujoco_is_asked_for_where_that_of_the_file_leaves_only_noise(
     assert leaves.per_sample == pytest.approx(0.85)
 
 
+def test_a_step_of_mujoco_is_asked_for_where_a_machine_leaves_only_noise(slider):
+    # A healthy arm of five servos in steps of 0.5 ms: 0.98 noise variances as a machine, 1.21 in steps of 2 ms.
+    def left(law):
+        if law.engine != "MuJoCo":
+            return Left(9.8e3, 0.98)
+        away = 0.4 * (law.engine_step / slider.with_engine().engine_step - 0.25) ** 2
+        return Left(1e4 * (0.85 + away), 0.85 + away)
+
+    assert left(slider).less_than(left(slider.with_engine()))
+    found, leaves = closest(slider, left)
+    assert (found.engine, found.engine_step) == ("MuJoCo", pytest.approx(0.00025))
+    assert leaves.per_sample == pytest.approx(0.85)
+
+
 def test_the_step_of_every_logged_command_is_tried_first(slider):
     # Costs of short steps need not lead to it: a joint that turns leaves many minima.
     def left(law):

@@ -72,6 +72,7 @@ def test_a_weak_drive_is_named_beside_healthy_logs_and_a_healthy_one_is_not(fact
 
 
 @pytest.mark.study
+@pytest.mark.long
 def test_a_servo_that_delivers_a_ninth_less_is_no_other_load_and_no_other_goal(tmp_path):
     # A lag, a bias and the factor together. Its goal is scaled by no gain, and no single parameter does it.
     handed = draw_case(36000, 28, 16.0).question(tmp_path).handed

@@ -92,7 +92,9 @@ STUDY = {
 
 @pytest.mark.study
 @pytest.mark.timeout(1800)
-@pytest.mark.parametrize("case", STUDY)
+@pytest.mark.parametrize(
+    "case", [pytest.param(c, marks=pytest.mark.long) if c.startswith("motor") else c for c in STUDY]
+)
 def test_a_hidden_effect_of_a_robot_of_ones_own_is_named_with_its_size(tmp_path, case):
     unit, system, parameter, truth, tolerance = STUDY[case]
     assert diagnosed(tmp_path, unit, system, 20.0)["verdict"] == "cause"
@@ -103,6 +105,7 @@ def test_a_hidden_effect_of_a_robot_of_ones_own_is_named_with_its_size(tmp_path,
 
 
 @pytest.mark.study
+@pytest.mark.long
 @pytest.mark.timeout(1800)
 def test_an_elastic_belt_is_what_a_stiff_model_lacks_and_nothing_to_an_elastic_one(tmp_path):
     for name, system, causes in (("stiff", MOTOR, ["elastic"]), ("elastic", BELT, [])):
