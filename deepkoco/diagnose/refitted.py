@@ -12,6 +12,7 @@ from deepkoco.diagnose.baseline import Baseline, prior_of_mean, with_floor_as_no
 from deepkoco.diagnose.data import Data
 from deepkoco.diagnose.evidence.absorbed import refit_without
 from deepkoco.diagnose.evidence.event_windows import train_on_pushed
+from deepkoco.diagnose.evidence.kinks import without_kinks
 from deepkoco.diagnose.tempered import refit_to_windows
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem
@@ -129,6 +130,6 @@ def refit_to_logs(learned: Baseline, data: Data) -> Refitted:
     train, held = data.train, data.held
     if held is not None and data.own:
         train, held, reference = train_on_pushed(start, train, held, reference)
-    return Refitted(
-        learned, start, replace(data, train=train, held=held), FitProblem(start.system, train), reference
-    )
+    problem = FitProblem(start.system, train)
+    reference = without_kinks(problem, start, reference)
+    return Refitted(learned, start, replace(data, train=train, held=held), problem, reference)
