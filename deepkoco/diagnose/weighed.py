@@ -22,6 +22,7 @@ from deepkoco.diagnose.data_sheet import with_usual_spread
 from deepkoco.diagnose.evidence.classes import APART
 from deepkoco.diagnose.evidence.forward import Selection
 from deepkoco.diagnose.evidence.minor import Minor
+from deepkoco.diagnose.evidence.priors import prior_with
 from deepkoco.diagnose.evidence.selection import DETECTION
 from deepkoco.diagnose.explanation import (
     MOST_EXTENSIONS,
@@ -43,8 +44,9 @@ from deepkoco.diagnose.nothing_at_once import (
     weights_before,
 )
 from deepkoco.diagnose.one_cause import is_asked, one_cause
-from deepkoco.diagnose.one_change import one_change
+from deepkoco.diagnose.one_change import one_change, outweighs_rough_file
 from deepkoco.diagnose.probability.answer import Answer
+from deepkoco.diagnose.refitted import Refitted
 from deepkoco.diagnose.request import DiagnosisRequest
 from deepkoco.diagnose.residuals.residuals import dispersion, missing_torque
 from deepkoco.fit.fit import Fit, Trial
@@ -145,12 +147,22 @@ def _with_one_cause(request: DiagnosisRequest, explanation: Explanation, more: i
     if not single:
         single = one_cause(base, rivals)
         # The weights leave out a parameter to which an effect adds; the start of that effect needs it.
-        rivals = [c for c in rivals if c.name in single or is_changed(c)]
-    if not single:
-        return explanation
-    request.progress(f"one cause instead of many parameters: {max(single, key=lambda n: single[n])}")
+        rivals = [c for c in rivals if not single or c.name in single or is_changed(c)]
+    best = max(single, key=lambda n: single[n], default="each of the catalogue")
+    request.progress(f"one cause instead of many parameters: {best}")
     again = _selected_again(request, explanation, rivals, more)
-    return again if again.found.accepted else explanation
+    if not again.found.accepted:
+        return explanation
+    return again if single or _is_one_cause(base, again, len(rivals)) else explanation
+
+
+def _is_one_cause(base: Refitted, again: Explanation, choices: int) -> bool:
+    """Return whether a single cause, beside what units of one make differ in, explains more than a rough file does."""
+    found = again.found
+    if len(found.accepted) != 1 or found.lost is not None:
+        return False
+    prior = prior_with(found.acting, again.base.start, found.accepted, found.final.values)
+    return outweighs_rough_file(base, found.final, prior, choices)
 
 
 def detection_of(request: DiagnosisRequest, explanation: Explanation) -> float:

@@ -7,8 +7,11 @@ from scipy.stats import multivariate_normal
 
 from deepkoco.diagnose import diagnose
 from deepkoco.diagnose.baseline import baseline_from, with_gauges_fixed
+from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.data import cut_data
-from deepkoco.diagnose.one_change import _evidence, one_change
+from deepkoco.diagnose.data_sheet import with_usual_spread
+from deepkoco.diagnose.evidence.priors import freed, prior_with
+from deepkoco.diagnose.one_change import _evidence, one_change, outweighs_rough_file
 from deepkoco.diagnose.refitted import refit_to_logs
 from deepkoco.fit.data.windows import window_length
 from deepkoco.logs.recording import Recording, Series
@@ -73,6 +76,34 @@ def test_a_parameter_that_a_guessed_prior_allows_is_found(rod):
 def test_units_of_one_make_and_files_that_are_rough_in_many_values_have_none(rod):
     assert changes(recorded(), rod) == {}
     assert changes(recorded(damping=1.5, gear=0.85, mass=1.1), rod) == {}
+
+
+def body_outweighs(log, system):
+    """Whether a heavier body, fitted beside units of one make, outweighs a rough file."""
+    data = cut_data([log], [], system, window_length(system))
+    base = refit_to_logs(with_gauges_fixed(baseline_from(system, data.train), data.train), data)
+    usual = with_usual_spread(base.start)
+    cause = next(c for c in catalogue(system, regrouping=True).values() if c.name.startswith("body_mass"))
+    fit = base.reference
+    values = {**usual.values, **{n: fit.values.get(n, usual.values[n]) for n in cause.free}}
+    for _ in range(2):  # the prior of a cause is as wide as the cause is large
+        fit = base.problem.fit_one(freed(base.problem, usual, [cause], fit, values), 60)
+        values = fit.values
+    return outweighs_rough_file(
+        base, fit, prior_with(base.problem, usual, [cause], fit.values), len(catalogue(system))
+    )
+
+
+def test_a_heavier_body_outweighs_a_rough_file_where_its_own_fit_ends(rod):
+    # Seen by the slopes of a refit that has lightened everything else, it may lie beyond.
+    assert body_outweighs(recorded(mass=1.5), rod)
+    assert not body_outweighs(recorded(), rod)
+    assert not body_outweighs(recorded(damping=1.5, gear=0.85, mass=1.1), rod)
+
+
+@pytest.mark.study
+def test_a_file_that_is_rough_in_many_values_lacks_nothing(rod):
+    assert diagnose([recorded(damping=1.5, gear=0.85, mass=1.1)], rod).verdict == "nothing"
 
 
 @pytest.mark.study
