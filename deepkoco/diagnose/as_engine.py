@@ -192,6 +192,19 @@ def _as_rigid(
         wanted = _least({step: found[step].cost for step in near})
     if _best(found).per_sample > NEAR:
         return held, machine
+    # The machine need not lie on the parabola: its friction holds, and its fit may have ended elsewhere. Steps of 1 ms
+    # then stood for 0.5 ms beside a delay, and what they left looked like lost commands.
+    with contextlib.suppress(DivergedError):
+        while (shortest := min(_steps_of(found))) == _best_step(found):
+            shorter = nearest(0.5 * shortest)
+            if shortest - shorter <= SAME * shortest:
+                break
+            ask(shorter)
+        if len(_steps_of(found)) > 2:
+            near = sorted(_steps_of(found), key=lambda step: found[step].cost)[:3]
+            wanted = nearest(_least({step: found[step].cost for step in near}))
+            if all(abs(wanted - step) > SAME * step for step in found):
+                ask(wanted)
     # Each fit started at the parameters of another step, which may be far. A step may have led to parameters that the
     # machine's own fit had missed.
     found[0.0] = min(held, left(machine), key=lambda own: own.cost)
@@ -204,6 +217,15 @@ def _as_rigid(
 
 def _best(found: Mapping[float, Left]) -> Left:
     return min(found.values(), key=lambda own: own.cost)
+
+
+def _steps_of(found: Mapping[float, Left]) -> list[float]:
+    """Steps of an engine that were asked for, without the machine."""
+    return [step for step in found if step > 0.0]
+
+
+def _best_step(found: Mapping[float, Left]) -> float:
+    return min(_steps_of(found), key=lambda step: found[step].cost)
 
 
 def _comes_near(now: Left, before: Left) -> bool:

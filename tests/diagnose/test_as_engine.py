@@ -178,6 +178,27 @@ def test_a_step_of_mujoco_is_asked_for_where_a_machine_leaves_only_noise(slider)
     assert leaves.per_sample == pytest.approx(0.85)
 
 
+def test_a_machine_that_does_not_lie_on_the_parabola_does_not_hide_shorter_steps(slider):
+    # Beside a delay of the commands, the half step of an engine shows no more, and its friction alone tells the step:
+    # 1.66 noise variances as a machine, 3.46, 1.07 and 0.97 in steps of 4, 1 and 0.5 ms, which a log of 0.5 ms left.
+    ms = 0.5 * slider.with_engine("semi-implicit").engine_step
+    known = {0.0: 1.66, 4.0: 3.46, 1.333: 1.14}
+
+    def left(law):
+        if law.engine == "MuJoCo":
+            return Left(5e4, 14.0)
+        step = round((law.engine_step or 0.0) / ms, 3) if law.engine else 0.0
+        per_sample = known.get(step, 0.97 + 0.4 * (step - 0.5) ** 2)
+        return Left(3600.0 * per_sample, per_sample)
+
+    def nearest(step):
+        return 4.0 * ms / max(round(4.0 * ms / step), 1)
+
+    found, leaves = closest(slider, left, nearest)
+    assert (found.engine, found.engine_step) == ("semi-implicit", pytest.approx(0.5 * ms))
+    assert leaves.per_sample == pytest.approx(0.97)
+
+
 def test_the_step_of_every_logged_command_is_tried_first(slider):
     # Costs of short steps need not lead to it: a joint that turns leaves many minima.
     def left(law):
