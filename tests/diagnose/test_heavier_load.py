@@ -33,7 +33,7 @@ def logs_of(unit: ServoUnit, factor: float, held: str):
 
 @pytest.mark.study
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize("factor", [2.0, 3.0])
+@pytest.mark.parametrize("factor", [pytest.param(2.0, marks=pytest.mark.long), 3.0])
 def test_a_heavier_load_of_a_servo_is_named_from_six_seconds(factor):
     unit = go1_like()
     log, healthy = logs_of(unit, factor, "sin_time_square")

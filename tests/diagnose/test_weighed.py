@@ -174,6 +174,7 @@ def test_causes_that_are_not_excluded_are_told():
 
 
 @pytest.mark.study
+@pytest.mark.long
 def test_a_fall_of_the_bic_that_is_asked_for_counts_after_the_weighing_too(path):
     asked = diagnose([log_of(damping=0.04)], load_system(path), detection=1e6)
     assert set(asked.names) <= {"unknown"}
