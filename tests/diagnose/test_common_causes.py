@@ -125,8 +125,10 @@ def test_common_factor_scales_all_parameters_of_a_kind():
     ("kind", "joints", "values", "named"),
     [
         ("gain", BOTH, {"factor": 0.8}, "gain(all)"),
-        ("gain", ONE, {"factor": 0.8}, "gain(joint 1)"),
-        ("actuation_delay", BOTH, {"delay": 0.02}, "actuation_delay(all)"),
+        pytest.param("gain", ONE, {"factor": 0.8}, "gain(joint 1)", marks=pytest.mark.long),
+        pytest.param(
+            "actuation_delay", BOTH, {"delay": 0.02}, "actuation_delay(all)", marks=pytest.mark.long
+        ),
         ("actuation_delay", ONE, {"delay": 0.02}, "actuation_delay(joint 1)"),
     ],
 )

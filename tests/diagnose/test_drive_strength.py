@@ -60,7 +60,7 @@ def logs(factor):
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("factor", [0.7, 1.0])
+@pytest.mark.parametrize("factor", [0.7, pytest.param(1.0, marks=pytest.mark.long)])
 def test_a_weak_drive_is_named_beside_healthy_logs_and_a_healthy_one_is_not(factor):
     healthy, log = logs(factor)
     result = diagnose([log], make_system("servo_pendulum"), healthy=healthy)

@@ -4,7 +4,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from deepkoco.diagnose import diagnose
 from deepkoco.diagnose.baseline import baseline_from, with_gauges_fixed
 from deepkoco.diagnose.causes import catalogue, shown_causes
 from deepkoco.diagnose.data import cut_data
@@ -69,15 +68,3 @@ def test_a_heavier_body_is_found_although_its_mass_and_inertia_may_move_alone(ro
 def test_units_of_one_make_and_files_that_are_rough_in_many_values_have_none(rod):
     assert single(recorded(), rod) == {}
     assert single(recorded(damping=1.5, gear=0.85, mass=1.1), rod) == {}
-
-
-@pytest.mark.study
-def test_it_is_named(rod):
-    found = diagnose([recorded(damping=1.9)], rod)
-    (finding,) = found.causes
-    assert {"changed(damping(hinge))", "viscous"} & set(finding.members)
-
-
-@pytest.mark.study
-def test_a_healthy_rod_lacks_nothing(rod):
-    assert diagnose([recorded()], rod).verdict == "nothing"
