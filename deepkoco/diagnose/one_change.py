@@ -89,14 +89,14 @@ class _Quadratic(NamedTuple):
     """Minus twice the log likelihood near a fit, x'I x - 2 b'x + c with the distance x from the values as given.
 
     Attributes:
-        declared: The parameters.
-        data: Information I.
-        pull: Slope b.
+        declared: The n parameters; each array counts in their units.
+        data: (n, n) information I.
+        pull: (n,) slope b.
         constant: c.
-        wide: Standard deviations of the guess. It keeps a parameter of each scale that the log leaves open; here the
-            other priors settle it.
-        usual: Standard deviations of units of one make.
-        deflation: By which all of these are divided.
+        wide: (n,) standard deviations of the guess. It keeps a parameter of each scale that the log leaves open; here
+            the other priors settle it.
+        usual: (n,) standard deviations of units of one make.
+        deflation: By which information, slope and constant are divided.
     """
 
     declared: list[Parameter]

@@ -27,6 +27,8 @@ def without_kinks(problem: FitProblem, start: Baseline, fit: Fit) -> Fit:
         problem: Training windows.
         start: The baseline, with the values given.
         fit: Refit of its parameters.
+
+    Source: the likelihood ratio of one parameter, chi2 with one degree of freedom; its quadratic form holds at no kink.
     """
     deflation = dispersion(fit, problem.windows).deflation
     given = dict(zip(start.prior.names, start.prior.centre.tolist(), strict=True))
