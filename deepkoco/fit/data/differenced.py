@@ -62,7 +62,8 @@ def _side(t: np.ndarray, position: np.ndarray, t_speed: np.ndarray, speed: np.nd
         quotient = np.diff(position) / step
         levels = np.diff(np.unique(speed))
         grid = float(levels.min()) if len(levels) else 0.0
-        spread = float(np.std(quotient))
+        # Rows that came together have huge quotients, which a measured speed does not show.
+        spread = min(float(np.std(quotient)), float(np.std(speed)))
         near = SAME * spread + (ROUNDED * grid if grid < COARSEST * spread else 0.0)
         for side, logged in enumerate((speed[1:], speed[:-1])):
             if near > 0.0 and float((np.abs(logged - quotient) <= near).mean()) >= MOSTLY:

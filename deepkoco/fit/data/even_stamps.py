@@ -11,6 +11,7 @@ from scipy.linalg import solveh_banded
 from scipy.ndimage import median_filter
 from scipy.optimize import minimize_scalar
 
+from deepkoco.fit.data.late_stamps import without_waiting
 from deepkoco.fit.data.noise import difference_weights
 
 FEWEST = 100  # samples from which the scatter of stamps is estimated
@@ -35,7 +36,8 @@ def with_even_stamps(
 ) -> tuple[dict[str, Series], list[np.ndarray]]:
     """Return measurements and command stamps of one log, moved to the even times that the motion shows.
 
-    A computer that stamps a regular loop late or early stamps commands and samples alike. A sample is then only as
+    Rows that waited to be stamped and came together are first moved to their turns, see :mod:`.late_stamps`. A
+    computer that stamps a regular loop late or early stamps commands and samples alike. A sample is then only as
     wrong as the motion is fast. A command acts at another time than the simulation takes it, and every jump of it is an
     impulse that stays in the speed. Both errors vanish at the even times. A loop may also be irregular itself, and its
     stamps right. The measured motion decides: it is smoother against the times at which it was measured.
@@ -52,21 +54,32 @@ def with_even_stamps(
     result, moved = dict(series), list(commands)
     for t in _clocks(series):
         own = {name: value for name, (stamps, value) in series.items() if np.array_equal(stamps, t)}
-        even = even_times(t)
-        share = 0.0 if even is None else share_of_scatter(t, even, list(own.values()))
+        values = list(own.values())
+        taken = without_waiting(t, values)
+        if taken is not t:
+            moved = [_with_the_row(command, t, taken) for command in moved]
+            result |= {name: (taken, value) for name, value in own.items()}
+        even = even_times(taken)
+        share = 0.0 if even is None else share_of_scatter(taken, even, values)
         if even is None or share == 0.0:
             continue
-        times = _towards(t, even, share)
+        times = _towards(taken, even, share)
         result |= {name: (times, value) for name, value in own.items()}
-        moved = [_moved_alike(command, t, even, share) for command in moved]
+        moved = [_moved_alike(command, taken, even, share) for command in moved]
     return result, moved
+
+
+def _with_the_row(command: np.ndarray, t: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Return ``times`` of commands that are in the rows of samples with stamps ``t``; others as they are."""
+    at = np.searchsorted(t, command)
+    return times[at] if (at < len(t)).all() and np.array_equal(t[at], command) else command
 
 
 def _moved_alike(command: np.ndarray, t: np.ndarray, even: np.ndarray, share: float) -> np.ndarray:
     """Return stamps of commands that were taken by the clock of samples with stamps ``t``; others as they are."""
-    at = np.searchsorted(t, command)
-    if (at < len(t)).all() and np.array_equal(t[at], command):
-        return _towards(t, even, share)[at]
+    with_row = _with_the_row(command, t, _towards(t, even, share))
+    if with_row is not command:
+        return with_row
     own = even_times(command)
     if own is None or not 1.0 / ALIKE <= np.std(own - command) / np.std(even - t) <= ALIKE:
         return command
@@ -74,7 +87,9 @@ def _moved_alike(command: np.ndarray, t: np.ndarray, even: np.ndarray, share: fl
 
 
 def _towards(t: np.ndarray, even: np.ndarray, share: float) -> np.ndarray:
-    return np.maximum.accumulate(t + share * (even - t))
+    # No two rows get one time.
+    apart = 0.5 * float(np.diff(t).min()) * np.arange(len(t))
+    return np.maximum.accumulate(t + share * (even - t) - apart) + apart
 
 
 def even_times(t: np.ndarray) -> np.ndarray | None:

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from deepkoco.fit.data.late_stamps import unsure_spans
 from deepkoco.fit.data.noise import Noise, estimate_noise, rates
 from deepkoco.fit.data.per_log_differences import Known, known_of
 from deepkoco.fit.data.rest import resting_stamps
@@ -205,13 +206,17 @@ def cut_windows(
         command, series = channels[index]
         commands.append(command)
         still = resting_stamps(system, series, noise, length)
+        unknown = [
+            *recording.unknown,
+            *(span for t, value in series.values() for span in unsure_spans(t, [value])),
+        ]
         history = 0.0 if cover else max(HISTORY, WARM_UP * length)
         start = max(min(t[0] for t, _ in series.values()), command.t[0] + history)
         if regular and command.changes and start < command.t[-1]:
             start = float(command.t[np.searchsorted(command.t, start - EARLY * step)])
         stop = min(max(t[-1] for t, _ in series.values()), command.t[-1] + length)
         for t0 in _starts(start, stop, length, cover, step if system.own_step is not None else 0.0):
-            if any(begin < t0 + length and end > t0 - HISTORY for begin, end in recording.unknown):
+            if any(begin < t0 + length and end > t0 - HISTORY for begin, end in unknown):
                 continue
             pieces = {n: _piece(*series[n], t0, t0 + length) for n in names if n in series}
             if any(len(t) >= MIN_SAMPLES for t, _ in pieces.values()):
