@@ -30,8 +30,7 @@ def factories(observation: str, name: str) -> list[Callable[[int, int], VectorEn
 
 def config(observation: str) -> TrainingConfig:
     chosen = small_config() if observation == "states" else image_config()
-    updates = 50 if observation == "states" else 20
-    sizes = {"first_epochs": 5, "iteration_updates": updates, "iteration_epochs": 50, "total_episodes": 10}
+    sizes = {"first_epochs": 5, "iteration_updates": 20, "iteration_epochs": 10, "total_episodes": 10}
     return dataclasses.replace(chosen, **sizes)
 
 

@@ -73,7 +73,7 @@ def test_rows_have_the_names_of_all_agents(tmp_path):
     assert (tmp_path / "references.json").exists()
 
 
-@pytest.mark.parametrize("kind", ["tracking", "random delays"])
+@pytest.mark.parametrize("kind", [pytest.param("tracking", marks=pytest.mark.study), "random delays"])
 def test_a_killed_run_goes_on_bit_for_bit(kind, tmp_path):
     make, config = {
         "tracking": (make_tracking, small()),

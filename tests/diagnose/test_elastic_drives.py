@@ -10,9 +10,8 @@ from tests.oracle.own_robots import MotorUnit
 
 
 @pytest.mark.study
-@pytest.mark.parametrize(
-    ("stiffness", "hertz"), [(0.6, 10.07), pytest.param(0.1, 4.11, marks=pytest.mark.long)]
-)
+@pytest.mark.long
+@pytest.mark.parametrize(("stiffness", "hertz"), [(0.6, 10.07), (0.1, 4.11)])
 def test_an_elastic_belt_is_named_with_its_frequency_and_its_share(tmp_path, stiffness, hertz):
     report = diagnosed(tmp_path, MotorUnit(stiffness=stiffness), MOTOR, 20.0)
     assert report["verdict"] == "cause"

@@ -57,6 +57,7 @@ def test_a_healthy_log_far_from_a_heavy_load_does_not_excuse_it():
 
 
 @pytest.mark.study
+@pytest.mark.long
 def test_what_fixes_a_scale_is_no_small_effect_of_a_healthy_unit():
     # The logs give ratios of five parameters. Stiffness keeps its value; freed, it ended at a hundredth.
     rng = np.random.default_rng(42002)

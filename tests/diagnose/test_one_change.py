@@ -102,6 +102,7 @@ def test_a_heavier_body_outweighs_a_rough_file_where_its_own_fit_ends(rod):
 
 
 @pytest.mark.study
+@pytest.mark.long
 def test_a_file_that_is_rough_in_many_values_lacks_nothing(rod):
     assert diagnose([recorded(damping=1.5, gear=0.85, mass=1.1)], rod).verdict == "nothing"
 

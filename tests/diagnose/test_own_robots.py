@@ -37,6 +37,7 @@ def test_a_healthy_robot_of_ones_own_misses_nothing(tmp_path, unit, system):
 
 
 @pytest.mark.study
+@pytest.mark.long
 def test_the_delay_of_a_motor_of_ones_own_is_named_with_its_size(tmp_path):
     assert diagnosed(tmp_path, MotorUnit(delay=0.03), MOTOR, 10.0)["verdict"] == "cause"
     model = load_system(tmp_path / "report" / "model.yaml")

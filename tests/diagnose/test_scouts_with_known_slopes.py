@@ -9,7 +9,7 @@ from deepkoco import load_system
 from deepkoco.diagnose import diagnose
 from deepkoco.logs import read_log
 
-pytestmark = pytest.mark.study
+pytestmark = [pytest.mark.study, pytest.mark.long]
 
 PAN_TILT = """<mujoco><option timestep="0.0001" integrator="implicitfast"/><compiler angle="radian"/>
 <worldbody><body name="base" pos="0 0 0.1"><joint name="pan" axis="0 0 1" damping="0.02" armature="0.002"/>

@@ -181,14 +181,8 @@ def test_a_fall_of_the_bic_that_is_asked_for_counts_after_the_weighing_too(path)
 
 
 @pytest.mark.study
-@pytest.mark.parametrize(
-    ("number", "names"),
-    [
-        (60, ()),
-        pytest.param(71, ("viscous",), marks=pytest.mark.long),
-        pytest.param(1, ("actuation_delay",), marks=pytest.mark.long),
-    ],
-)
+@pytest.mark.long
+@pytest.mark.parametrize(("number", "names"), [(60, ()), (71, ("viscous",)), (1, ("actuation_delay",))])
 def test_small_effects_of_a_unit_are_no_lost_commands_and_a_delay_is_no_filter(number, names, tmp_path):
     # A log of 16 s shows a lag of 1 ms, a bias and a drag together, and none of them alone: a loss imitated them. A
     # delay of 8 ms moves the commands into the steps.

@@ -40,6 +40,7 @@ def test_training_without_room_for_a_checkpoint_is_told_and_leaves_nothing(tmp_p
 
 
 @pytest.mark.study
+@pytest.mark.long
 @pytest.mark.timeout(300)
 def test_training_that_ran_out_of_room_goes_on_from_its_last_checkpoint(tmp_path):
     run = tmp_path / "run"

@@ -125,8 +125,10 @@ class _Loop:
 
 
 def _loop(t: np.ndarray) -> _Loop | None:
-    """Return the loop that stamped these rows; None where they are few, or where it is not sure which are late."""
-    if len(t) < FEWEST or not (period := float(np.median(np.diff(t)))) > 0.0:
+    """Return the loop that stamped these rows; None where none come together, or it is not sure which are late."""
+    if len(t) < FEWEST or not (period := float(np.median(gaps := np.diff(t)))) > 0.0:
+        return None
+    if gaps.min() >= 2.0 * TOGETHER * period:
         return None
     at = t - t[0]
     on_time = np.ones(len(t), dtype=bool)
