@@ -37,6 +37,7 @@ from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.fit.threads import one_thread
 from deepkoco.logs.lost_rows import with_lost_rows
 from deepkoco.logs.read_logs import Logs, read_logs
+from deepkoco.output.compiling import told_of_compilation
 from deepkoco.systems import ExtendedSystem, System, any_system
 from deepkoco.systems.stretchable import stretchable_if_asked
 
@@ -107,11 +108,12 @@ def diagnose(
             f"both a baseline and {len(healthy)} healthy logs are given; give either the logs or the baseline "
             "that was learned from them"
         )
-    with one_thread():
+    with one_thread(), told_of_compilation(progress):
         usual = window_length(base) if window is None else window
         limit = TimeLimit(time_limit, began=began)
         if baseline is not None:
             check_learned(baseline, base)
+        progress("asking which simulator the logs are of")
         base = as_engine_if_shown(healthy or recordings, base, usual, baseline)
         chosen = window is not None or baseline is not None
         length = usual if chosen else followed_length(recordings, base, healthy)

@@ -364,3 +364,16 @@ def test_a_command_may_answer_a_new_goal_with_many_times_what_it_usually_is(tmp_
         return
     with pytest.raises(LogError, match=f'column "{name}": 1 sample far from all others'):
         read_log(path, channels=CHANNELS)
+
+
+def test_rows_that_were_stamped_at_once_after_a_pause_are_all_kept(tmp_path):
+    frame = table()
+    assert frame["t"].iloc[61] - frame["t"].iloc[60] == pytest.approx(0.02)
+    # Six rows wait for the reader, which stamps them in whole milliseconds.
+    frame.loc[50:55, "t"] = frame["t"].iloc[55] + 0.001 * np.array([0, 0, 0, 1, 1, 1])
+    recording = read_log(save(tmp_path, frame), channels=CHANNELS)
+    theta = recording.channels["theta"]
+    np.testing.assert_array_equal(theta.value, frame["theta"])
+    assert (np.diff(theta.t) > 0.0).all()
+    np.testing.assert_allclose(theta.t, frame["t"], rtol=0.0, atol=1e-5)
+    assert any("came together" in warning for warning in recording.warnings)

@@ -149,9 +149,9 @@ def _loop(t: np.ndarray) -> _Loop | None:
 
 def _phase(at: np.ndarray, period: float, on_time: np.ndarray) -> np.ndarray:
     """Return the mean phase [s] of the rows on time around each row, on the circle of one period."""
-    angle = np.where(on_time, np.exp(2j * np.pi * at / period), 0.0)
-    mean = uniform_filter1d(angle.real, NEAR) + 1j * uniform_filter1d(angle.imag, NEAR)
-    return np.unwrap(np.angle(mean)) * period / (2.0 * np.pi)
+    turned = 2.0 * np.pi * at / period
+    cosine, sine = (uniform_filter1d(np.where(on_time, part(turned), 0.0), NEAR) for part in (np.cos, np.sin))
+    return np.unwrap(np.arctan2(sine, cosine)) * period / (2.0 * np.pi)
 
 
 def _mode(late: np.ndarray) -> tuple[float, float]:

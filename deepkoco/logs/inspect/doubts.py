@@ -61,8 +61,8 @@ def _clock(survey: Survey, clock: Clock) -> list[str]:
         result.append(f"{where} decreases at {survey.log.rows(clock.topic, clock.resets, MANY)}; {remedy}")
     if clock.duplicates:
         result.append(
-            f"{where} repeats a stamp {clock.duplicates} times; a row that occurs twice is used once, of rows that "
-            "differ keep one"
+            f"{where} repeats a stamp {clock.duplicates} times; a row that occurs twice is used once, a few rows that "
+            "differ are taken as rows that came together, and of many that differ keep one"
         )
     if clock.missing:
         result.append(f"{where} has {clock.missing} rows without a stamp")

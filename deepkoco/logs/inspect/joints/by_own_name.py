@@ -6,13 +6,61 @@ import re
 
 from deepkoco.logs.by_name import wanted_names
 from deepkoco.logs.inspect.choice import Choice
-from deepkoco.logs.inspect.joints.log_joints import GOALS, role_in_name, role_of
+from deepkoco.logs.inspect.evidence import SPEEDS
+from deepkoco.logs.inspect.joints.log_joints import GOALS, LogJoint, role_in_name, role_of
 from deepkoco.logs.inspect.names import unit_suffix
 from deepkoco.logs.inspect.survey import ColumnSurvey, Survey
 from deepkoco.logs.units import parse_unit
-from deepkoco.systems import System
+from deepkoco.systems import Channel, System
 
 NAMED = 0.95  # probability that a column with the name of an actuator or a joint is its channel
+
+
+def called_as_actuators(survey: Survey, system: System) -> dict[int, ColumnSurvey]:
+    """Columns that have the name of an actuator and no joint's, and a unit of its command: ``elbow_pos_rad``.
+
+    The name of an actuator may hold words that say something else of a column: `pos` a measured position, a unit of
+    torque a measured effort. A name that the user gave says more than they do.
+
+    Args:
+        survey: Of the log.
+        system: The system.
+
+    Returns:
+        Number of the command -> column.
+    """
+    joints = {name.lower() for name in system.joint_names}
+    found = {}
+    for number, channel in enumerate(system.commands[: len(system.command_joints)]):
+        own = [
+            column
+            for column in survey.columns
+            if column.usable
+            and column.hints.unit is not None
+            and parse_unit(column.hints.unit).quantity == parse_unit(channel.unit).quantity
+            and _without_unit(column, channel) == channel.name.lower()
+        ]
+        if len(own) == 1 and channel.name.lower() not in joints:
+            found[number] = own[0]
+    return found
+
+
+def give_commands(called: dict[int, ColumnSurvey], joints: dict[int, LogJoint], system: System) -> None:
+    """Give the columns that are called as actuators to the joints that these drive, where no other is their command.
+
+    Args:
+        called: Number of a command -> column.
+        joints: Number of a joint of the model -> its columns, which change.
+        system: The system.
+    """
+    for number, column in called.items():
+        driven = system.command_joints[number]
+        if driven not in joints:
+            continue
+        unit = system.commands[number].unit
+        speed = parse_unit(unit).quantity in SPEEDS
+        role = "goal" if unit == system.state_units[driven] else "goal speed" if speed else "goal effort"
+        joints[driven].columns.setdefault(role, column)
 
 
 def command_by_name(survey: Survey, choice: Choice, shown: set[str], joint: str = "") -> Choice:
@@ -31,7 +79,7 @@ def command_by_name(survey: Survey, choice: Choice, shown: set[str], joint: str 
         return choice
     names = {name.lower() for name in wanted_names(choice.channel.name, "command")}
     free = [column for column in survey.columns if column.usable and column.label not in shown]
-    exact = [c for c in free if _without_unit(c, choice) in names]
+    exact = [c for c in free if _without_unit(c, choice.channel) in names]
     asked: list[ColumnSurvey] = []
     for own in (role_in_name(choice.channel.name)[1], role_in_name(joint)[1]):
         asked = asked or [c for c in free if own and role_of(c) in {(goal, own) for goal in GOALS.values()}]
@@ -44,14 +92,14 @@ def command_by_name(survey: Survey, choice: Choice, shown: set[str], joint: str 
     )
 
 
-def _without_unit(column: ColumnSurvey, choice: Choice) -> str:
+def _without_unit(column: ColumnSurvey, channel: Channel) -> str:
     """The name of a column in lower case, without a unit of the channel at its end: ``trolley_motor_N`` for a force.
 
     The same letter counts joints where the channel is no force: the whole name is then kept.
     """
     name = re.sub(r"\s*[\[(][^\[\]()]*[\])]\s*$", "", column.name).strip().lower()
     unit = column.hints.unit
-    if unit is None or parse_unit(unit).quantity != parse_unit(choice.channel.unit).quantity:
+    if unit is None or parse_unit(unit).quantity != parse_unit(channel.unit).quantity:
         return name
     parts = [part for part in re.split(r"[^A-Za-z0-9°%]+", column.name) if part]
     ahead, _ = unit_suffix(parts, column.name)

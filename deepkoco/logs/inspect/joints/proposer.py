@@ -10,7 +10,12 @@ import numpy as np
 
 from deepkoco.logs.inspect.choice import Choice, Proposal, with_one_scale
 from deepkoco.logs.inspect.evidence import POSITIONS, SPEEDS
-from deepkoco.logs.inspect.joints.by_own_name import command_by_name, speed_by_name
+from deepkoco.logs.inspect.joints.by_own_name import (
+    called_as_actuators,
+    command_by_name,
+    give_commands,
+    speed_by_name,
+)
 from deepkoco.logs.inspect.joints.finding import JointFinding, from_ranges
 from deepkoco.logs.inspect.joints.goals import Tracking, track
 from deepkoco.logs.inspect.joints.gravity import JointEvidence
@@ -59,7 +64,13 @@ def propose_joints(surveys: Sequence[Survey], system: System) -> Proposal:
     survey = surveys[0]
     passive = system.joints - len(set(system.actuator_joints) & set(range(system.joints)))
     found = log_joints(survey.columns, system.joint_names, system.state_units[: system.joints], passive)
+    called = called_as_actuators(survey, system)
+    others = [column for column in survey.columns if column not in called.values()]
+    apart = log_joints(others, system.joint_names, system.state_units[: system.joints], passive)
+    # What is called as an actuator may still be the position of its joint: then the log has no other.
+    found, called = (apart, called) if len(apart) >= len(found) else (found, {})
     matches = match_joints([joint.label for joint in found], system.joint_names, _apart(found, system))
+    give_commands(called, {match.model: found[match.log] for match in matches}, system)
     _add_loose_goals(survey, found, system)
     joints = _scaled(surveys, system, found, matches)
     evidence = gravity_evidence(surveys, system, joints)
@@ -277,7 +288,8 @@ def _command(
         if column is None:
             return Choice(channel, None, channel.unit, False, 1.0, ())
         said = [finding.reason]
-        if not speed and "goal effort" not in joint.log.columns and "effort" in joint.log.columns:
+        # `axis1_motor_Nm` is what drives the axis; words such as torque or current may say what was measured there.
+        if not speed and "goal effort" not in joint.log.columns and role_of(column)[0] == "effort":
             said.append("a measured effort in the place of the command")
         scaling = Scaling(column.hints.unit or channel.unit, 1.0, 0.0, column.hints.unit is not None)
         return _chosen(channel, column, scaling, finding, said, float(finding.sign), 0.0)

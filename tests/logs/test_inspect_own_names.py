@@ -1,0 +1,70 @@
+"""Columns that have the name of an actuator: it says more than the words that it is made of."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import deepkoco
+from deepkoco.logs.formats import open_log
+from deepkoco.logs.inspect import propose, survey_log
+from deepkoco.logs.read_logs import read_logs
+from deepkoco.logs.recording import LogError
+
+T = np.arange(0.0, 8.0, 0.01)
+PAN, TILT = np.sin(2.0 * T) + np.sin(3.7 * T), np.cos(0.9 * T) + np.sin(1.3 * T)
+SERVOS = '<position name="pan_pos" joint="pan" kp="30" kv="2"/><position name="tilt_pos" joint="tilt" kp="30" kv="2"/>'
+MOTORS = '<motor name="pan_motor" joint="pan"/><motor name="tilt_motor" joint="tilt"/>'
+
+
+def head(tmp_path, actuators, columns):
+    """Log and file of a head of two joints."""
+    (tmp_path / "head.xml").write_text(f"""<mujoco><compiler angle="radian"/><worldbody>
+<body><joint name="pan" axis="0 0 1"/><inertial pos="0 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>
+<body><joint name="tilt" axis="0 1 0"/><inertial pos="0.05 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>
+</body></body></worldbody><actuator>{actuators}</actuator></mujoco>""")
+    pd.DataFrame({"time": T, **columns}).to_csv(tmp_path / "log.csv", index=False)
+    return tmp_path / "log.csv", deepkoco.load_system(tmp_path / "head.xml")
+
+
+def columns_of(log, robot):
+    choices = propose(survey_log(open_log(log)), robot).proposal.choices
+    return {c.channel.name: c.column.name for c in choices if c.column is not None}
+
+
+def late(goal):
+    return np.interp(T - 0.03, T, goal)
+
+
+def test_a_goal_that_is_called_as_its_actuator_is_no_position_although_its_name_says_so(tmp_path):
+    shown = {"pan_rad": late(PAN), "tilt_rad": late(TILT)}
+    log, robot = head(tmp_path, SERVOS, {"pan_pos_rad": PAN, "tilt_pos_rad": TILT, **shown})
+    found = {"q_pan": "pan_rad", "q_tilt": "tilt_rad", "pan_pos": "pan_pos_rad", "tilt_pos": "tilt_pos_rad"}
+    assert columns_of(log, robot) == found
+    (read,) = read_logs([log], robot)
+    np.testing.assert_allclose(read.channels["pan_pos"].value, PAN)
+
+
+def test_a_position_that_is_called_as_the_actuator_stays_one_where_the_log_has_no_other(tmp_path):
+    columns = {"pan_pos_rad": late(PAN), "tilt_pos_rad": late(TILT), "pan_cmd_rad": PAN, "tilt_cmd_rad": TILT}
+    found = {
+        "q_pan": "pan_pos_rad",
+        "q_tilt": "tilt_pos_rad",
+        "pan_pos": "pan_cmd_rad",
+        "tilt_pos": "tilt_cmd_rad",
+    }
+    assert columns_of(*head(tmp_path, SERVOS, columns)) == found
+
+
+@pytest.mark.parametrize(("names", "sure"), [("{}_motor_Nm", True), ("{}_Nm", True), ("{}_torque_Nm", False)])
+def test_a_torque_drives_its_joint_for_sure_unless_a_word_says_what_may_be_measured(tmp_path, names, sure):
+    shown = {"pan_rad": PAN, "tilt_rad": TILT}
+    log, robot = head(
+        tmp_path, MOTORS, {names.format("pan"): 0.3 * TILT, names.format("tilt"): 0.3 * PAN, **shown}
+    )
+    assert columns_of(log, robot)["pan_motor"] == names.format("pan")
+    if sure:
+        (read,) = read_logs([log], robot)
+        np.testing.assert_allclose(read.channels["tilt_motor"].value, 0.3 * PAN)
+    else:
+        with pytest.raises(LogError, match="is measured, and may not be the command pan_motor"):
+            read_logs([log], robot)
