@@ -386,13 +386,14 @@ def _stretches(time: np.ndarray, missing: np.ndarray) -> np.ndarray:
 
 
 def _after_pauses(time: np.ndarray, again: np.ndarray) -> bool:
-    """Whether all rows with the stamp of the row before them are of bunches that a pause of their length precedes."""
+    """Whether all rows with the stamp of the row before them are of bunches that fill a pause before them."""
     gap = np.diff(time)
     period = float(np.median(gap))
     close = np.append(False, gap < CLOSE * period)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], close.astype(int), [0]]))).reshape(-1, 2)
     for first, end in edges:  # the row before the first one is of the bunch, too
-        if again[first:end].any() and (first < 2 or gap[first - 2] < (end - first + 0.5) * period):
+        took = time[end - 1] - time[first - 2] if first > 1 else 0.0
+        if again[first:end].any() and took < (end - first + 0.5) * period:
             return False
     return True
 
