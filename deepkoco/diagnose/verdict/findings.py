@@ -23,6 +23,7 @@ from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.fit.solve.deflated import deflated
 from deepkoco.systems import Parameter, System
 
+TOGETHER = 0.98  # squared correlation from which two parameters move together
 CLEAR_TORQUE = 5.0  # standard deviations from which a missing torque is reported
 
 
@@ -44,13 +45,50 @@ def estimates(
         narrowed: Factor by which the prior is narrower than it was stated; see :func:`.deflated`.
         scales: Parameter -> variance that scales add which the data leave open; None for none.
     """
-    variances, scales = deflated(fit, deflation, narrowed * fit.narrowed).diagonal(), scales or {}
-    known = dict(zip(fit.free, variances, strict=True))
-    return with_intervals(
+    covariance, scales = deflated(fit, deflation, narrowed * fit.narrowed), scales or {}
+    known = dict(zip(fit.free, covariance.diagonal(), strict=True))
+    found = with_intervals(
         problem,
         fit.values,
         {n: max(known[n], 0.0) + scales.get(n, 0.0) if n in known else 0.0 for n in names},
     )
+    bounds, values = declared(problem, fit.free), [fit.values[n] for n in fit.free]
+    return {
+        n: while_others_may(e, fit.free.index(n), values, covariance, bounds) if n in known else e
+        for n, e in found.items()
+    }
+
+
+def while_others_may(
+    estimate: Estimate,
+    i: int,
+    values: Sequence[float],
+    covariance: np.ndarray,
+    bounds: Sequence[Parameter],
+) -> Estimate:
+    """Return an interval that ends where a parameter that moves with this one meets its bound.
+
+    Of two delays that the data tell in sum only, neither is longer than the sum, since the other is not negative.
+
+    Args:
+        estimate: The value of parameter i with its interval.
+        i: Its number.
+        values: (p,) values of all parameters of the fit.
+        covariance: (p, p) covariance of these.
+        bounds: (p,) declarations, with the bounds.
+    """
+    own = float(covariance[i, i])
+    low, high = estimate.low, estimate.high
+    for j, other in enumerate(bounds):
+        theirs, both = float(covariance[j, j]), float(covariance[i, j])
+        if j == i or not both**2 > TOGETHER * own * theirs:
+            continue
+        # Given this one, the other is at value + slope (x - estimate), give or take what the data leave of it alone.
+        slope, alone = both / own, 1.96 * float(np.sqrt(max(theirs - both**2 / own, 0.0)))
+        ends = (other.low - alone - values[j], other.high + alone - values[j])
+        first, last = sorted(end / slope for end in ends)
+        low, high = max(low, estimate.value + min(first, 0.0)), min(high, estimate.value + max(last, 0.0))
+    return replace(estimate, low=low, high=high)
 
 
 def with_intervals(
