@@ -32,12 +32,12 @@ from deepkoco.diagnose.verdict.result import diagnosis_of, insufficient
 from deepkoco.diagnose.verdict.shorter_windows import on_shorter_windows
 from deepkoco.diagnose.weighed import explained
 from deepkoco.diagnose.window_choice import followed_length, length_for_enough
+from deepkoco.fit.compiling import told_of_compilation
 from deepkoco.fit.data.windows import window_length
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.fit.threads import one_thread
 from deepkoco.logs.lost_rows import with_lost_rows
 from deepkoco.logs.read_logs import Logs, read_logs
-from deepkoco.output.compiling import told_of_compilation
 from deepkoco.systems import ExtendedSystem, System, any_system
 from deepkoco.systems.stretchable import stretchable_if_asked
 

@@ -94,6 +94,10 @@ def test_rows_that_waited_while_others_were_lost_are_unsure_and_in_no_window():
     ((start, stop),) = unsure_spans(moved, [value])
     assert start == pytest.approx(true[899], abs=1e-3)
     assert true[919] <= stop <= true[922]
+    # A log that begins or ends in a stall does not show how long it was.
+    for part in (slice(402, None), slice(None, 910)):
+        for start, stop in unsure_spans(stamps[part], [value[part]]):
+            assert stamps[part][0] <= start < stop <= stamps[part][-1]
     log = unit_log("rod_pendulum", {}, "steps", 3, 12.0)
     name = one_joint("rod_pendulum").measurements[0].name
     whole = log.channels[name]

@@ -78,7 +78,7 @@ def unsure_spans(t: np.ndarray, values: list[np.ndarray]) -> list[tuple[float, f
             # Samples that were taken together differ by their noise alone.
             apart = float((0.5 * np.diff(value)[pairs] ** 2).sum())
             if noise > 0.0 and apart / noise - len(pairs) >= EVIDENCE:
-                spans.append((float(t[first - 1]), float(t[min(end, len(t) - 1)])))
+                spans.append((float(t[max(first - 1, 0)]), float(t[min(end, len(t) - 1)])))
                 break
     return spans
 

@@ -2,7 +2,7 @@
 
 from numba import njit
 
-from deepkoco.output.compiling import COMPILING, told_of_compilation
+from deepkoco.fit.compiling import COMPILING, told_of_compilation
 
 
 def test_compilation_is_told_once_for_all_functions_that_a_call_compiles():
