@@ -5,5 +5,5 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/environment.sh
 # Only the files that have such tests: to collect all takes longer than some of them run.
-grep -rlE --include='test_*.py' 'mark\.study|studied\(' tests \
-    | xargs .venv/bin/python -m pytest -n "${TEST_PROCESSES:-2}" --dist worksteal -m "study and not long" "$@"
+mapfile -t files < <(grep -rlE --include='test_*.py' 'mark\.study|studied\(' tests | sort)
+exec .venv/bin/python -m pytest -n "${TEST_PROCESSES:-2}" --dist worksteal -m "study and not long" "$@" "${files[@]}"
