@@ -6,7 +6,7 @@ help:
 	@echo "make demo   diagnose a log, extend the simulator, train in both, run on the unit; writes demo_out/index.html"
 	@echo "make test   run the tests but the long ones"
 	@echo "make study  run the long tests: whole diagnoses of hidden effects"
-	@echo "make long   run the longest of these, a minute or more each"
+	@echo "make long   run the longest of these, and further cases"
 	@echo "make lint   ruff and basedpyright"
 	@echo "make bench  tests against stable-baselines3, and the benchmarks against the peers (about half an hour)"
 	@echo "make docs   the documentation, into docs/_build/html"

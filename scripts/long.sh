@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Runs the longest diagnoses, a minute or more each, two processes side by side; arguments go to pytest.
+# Runs the longest diagnoses and further cases of others, two processes side by side; arguments go to pytest.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/environment.sh

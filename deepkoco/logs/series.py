@@ -13,6 +13,7 @@ from deepkoco.logs.formats.log_file import LogError, LogFile, iso_seconds
 from deepkoco.logs.own_rows import has_own_rows, values_present
 from deepkoco.logs.runs import MARK, RestartError, runs_of
 from deepkoco.logs.sidecar import ISO, KINDS, ChannelColumn, Column
+from deepkoco.logs.stamped_at_once import spaced_apart
 from deepkoco.logs.units import UnitError, factor_between, parse_unit
 
 FAR = 5.0  # values farther than this many ranges from the others are taken as missing
@@ -22,9 +23,6 @@ JUMP = 0.5  # step to or from a far value, relative to its distance from the oth
 GAPLESS = 1.5  # values whose distances grow by at most this factor go on from each other
 FEWEST_IN_ROW = 10  # far values that may go on from the others; fewer are glitches
 PARTS = {"joint", "axis", "axle", "motor", "servo", "actuator", "device", "sensor", "channel"}  # of a machine
-AT_ONCE = 0.05  # share of the rows up to which rows with one stamp were stamped at once
-CLOSE = 0.25  # of the period, within which rows are of one bunch
-BARELY = 1e-6  # time between two such rows [s]
 LATEST = 1e11  # latest plausible time stamp [s since 1970], about the year 5000
 
 
@@ -120,7 +118,11 @@ class ChannelReader:
         if not channel.checked:
             value = self._without_far(channel, row, value, target)
         series_row, time, value, unknown = self._filled(channel, row, time, value)
-        time = self._apart(stamp, time, value)
+        spaced = spaced_apart(time, value)
+        if spaced is not time:
+            time = spaced
+            note = f'column "{stamp.name}": rows with the stamp of the row before are taken as rows that came together'
+            self.notes += [note] if note not in self.notes else []
         keep = self._increasing(channel, stamp, series_row, time, value, own_time)
         return Series(time[keep], value[keep], target, channel.kind, unknown)
 
@@ -213,26 +215,6 @@ class ChannelReader:
         last = np.searchsorted(good, np.arange(len(value)), side="right") - 1
         kept = np.flatnonzero(last >= 0)
         return row[kept], time[kept], value[good[last[kept]]], unknown
-
-    def _apart(self, stamp: Column, time: np.ndarray, value: np.ndarray) -> np.ndarray:
-        """Return stamps in which the few rows that were stamped at once, with other values, follow each other closely.
-
-        A busy reader stamps so what has waited for it: a pause before them is as long as they took. Where many stamps
-        repeat, these are coarser than the samples.
-        """
-        again = np.append(False, np.diff(time) == 0)
-        differs = again & np.append(False, np.diff(value) != 0)
-        if not differs.any() or again.mean() > AT_ONCE or not _after_pauses(time, again):
-            return time
-        rows = np.arange(len(time))
-        first = np.maximum.accumulate(np.where(again, 0, rows))
-        moved = time + max(BARELY, 4.0 * float(np.spacing(np.abs(time).max()))) * (rows - first)
-        if not (np.diff(moved)[np.diff(time) >= 0] > 0.0).all():
-            return time
-        note = f'column "{stamp.name}": rows with the stamp of the row before them are taken as rows that came together'
-        if note not in self.notes:
-            self.notes.append(note)
-        return moved
 
     def _increasing(
         self,
@@ -383,19 +365,6 @@ def _stretches(time: np.ndarray, missing: np.ndarray) -> np.ndarray:
     edges = np.diff(np.concatenate([[0], missing.astype(np.int8), [0]]))
     begin, end = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
     return np.stack([time[begin], np.append(time, np.inf)[end]], axis=1)
-
-
-def _after_pauses(time: np.ndarray, again: np.ndarray) -> bool:
-    """Whether all rows with the stamp of the row before them are of bunches that fill a pause before them."""
-    gap = np.diff(time)
-    period = float(np.median(gap))
-    close = np.append(False, gap < CLOSE * period)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], close.astype(int), [0]]))).reshape(-1, 2)
-    for first, end in edges:  # the row before the first one is of the bunch, too
-        took = time[end - 1] - time[first - 2] if first > 1 else 0.0
-        if again[first:end].any() and took < (end - first + 0.5) * period:
-            return False
-    return True
 
 
 def _check_header(log: LogFile, column: Column) -> None:
