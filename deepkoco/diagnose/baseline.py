@@ -12,6 +12,7 @@ import torch
 from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.residuals.residuals import MAX_CHI2_SD, white_limit
 from deepkoco.diagnose.run_to_run import RunToRun
+from deepkoco.diagnose.shorter_first import shorter_first
 from deepkoco.fit.data.halves import halved
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import ITERATIONS, Fit, FitProblem, Trial
@@ -223,7 +224,7 @@ def with_gauges_fixed(start: Baseline, windows: Windows) -> Baseline:
 def refit(
     start: Baseline, windows: Windows, free: tuple[str, ...] | None = None, first: Fit | None = None
 ) -> Fit:
-    """Fit the baseline's parameters under their prior, first on windows of half the length.
+    """Fit the baseline's parameters under their prior, first on windows of half the length or shorter.
 
     The cost of a long window across an unstable equilibrium has many minima; that of half windows has fewer. The fit
     on half windows gives the start values of parameters and initial states for the full windows. Where one of these
@@ -243,7 +244,7 @@ def refit(
         DivergedError: The simulation diverges at the present values, or at those of the fit on half windows.
     """
     names = start.prior.names if free is None else free
-    first = on_half_windows(start, windows, names) if first is None else first
+    first = from_shorter_windows(start, windows, names) if first is None else first
     problem = FitProblem(start.system, windows)
     guess = windows.state.clone()
     guess[torch.from_numpy(few_windows(windows, len(names)))] = first.state[::2]
@@ -274,6 +275,16 @@ def on_half_windows(
     short = FitProblem(start.system, halves)
     state, _ = short.fit_states(start.values, halves.state)
     return short.fit_one(Trial("half windows", names, start.prior, start.values, state), iterations)
+
+
+def from_shorter_windows(start: Baseline, windows: Windows, names: tuple[str, ...]) -> Fit:
+    """As :func:`on_half_windows`, with windows as short as it takes to find a minimum (:mod:`.shorter_first`).
+
+    Raises:
+        DivergedError: The simulation diverges at the present values.
+    """
+    halves = halved(windows.take(few_windows(windows, len(names))))
+    return shorter_first(start.system, start.values, start.prior, names, halves)
 
 
 def few_windows(windows: Windows, parameters: int) -> np.ndarray:

@@ -8,7 +8,8 @@ import pytest
 
 from deepkoco.diagnose.baseline import baseline_from
 from deepkoco.diagnose.causes import catalogue
-from deepkoco.diagnose.evidence.crossed import better_reference, crossed
+from deepkoco.diagnose.evidence.crossed import better_reference, crossed, gains_elsewhere
+from deepkoco.diagnose.evidence.footholds import trial_of
 from deepkoco.diagnose.evidence.priors import prior_with
 from deepkoco.fit.data.windows import cut_windows, window_length
 from deepkoco.fit.fit import FitProblem, Trial
@@ -70,3 +71,30 @@ def test_candidates_start_from_what_another_one_knows_of_each_log(ranked, monkey
     assert len(tried) == 2
     for trial in tried:
         np.testing.assert_array_equal(trial.nuisance, settled.nuisance)
+
+
+def test_a_cause_that_only_found_a_better_minimum_gains_elsewhere(ranked):
+    problem, start, ranking, settled = ranked
+    best = _fitted(problem, start, ranking.reference, settled)
+    assert best.likelihood_ratio > 100.0
+    assert gains_elsewhere(start, SimpleNamespace(candidates=(best,), best=best, reference=ranking.reference))
+
+
+def test_a_cause_that_is_there_gains_by_itself():
+    log = hidden_log("rod_pendulum", {"coulomb": {"torque": 0.02}}, "chirp", 9, 8.0)
+    windows = cut_windows([log], SYSTEM, window_length(SYSTEM))
+    start = baseline_from(SYSTEM, windows)
+    problem = FitProblem(start.system, windows)
+    prior = prior_with(problem, start, (), start.values)
+    reference = problem.fit([Trial("refit", prior.names, prior, start.values)], 60)[0]
+    best = _fitted(problem, start, reference, reference)
+    assert best.likelihood_ratio > 100.0
+    assert not gains_elsewhere(start, SimpleNamespace(candidates=(best,), best=best, reference=reference))
+
+
+def _fitted(problem, start, reference, foot):
+    """Dry friction, fitted from a point, as a candidate over a reference."""
+    cause = KNOWN["coulomb"]
+    values = {**foot.values, cause.free[0]: 1e-4}
+    fit = problem.fit([trial_of(problem, start, (), cause, values, foot.state, foot)], 60)[0]
+    return SimpleNamespace(cause=cause, fit=fit, likelihood_ratio=reference.cost - fit.cost)

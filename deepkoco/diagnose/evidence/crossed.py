@@ -3,12 +3,15 @@
 Stick and slip, or a controller with limits, leave a fit many minima. What a candidate gains then says in which of them
 it ended, and not what its cause explains: a gain of 0.99 was ahead of the load that was there. All fits share the
 parameters of the simulation, so the place that one of them has found is a start for the others. The refit is one of
-them: what a candidate with hardly any effect gains is a better refit.
+them: what a candidate with hardly any effect gains is a better refit. Fits of many parameters take long, and there only
+that is asked: by slopes at its optimum, a cause must be worth about what its fit has gained.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+
+import numpy as np
 
 from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause
@@ -32,6 +35,29 @@ def leaves_more(problem: FitProblem, start: Baseline, ranking: Ranking) -> bool:
         return False
     windows = problem.windows
     return ranking.best.fit.chi2 > start.most_noise(windows) * windows.samples
+
+
+def gains_elsewhere(start: Baseline, ranking: Ranking) -> bool:
+    """Return whether the best candidate gained much more than its own parameters are worth where its fit has ended.
+
+    Near a minimum, the squared distance of these from their null values, in their standard deviations (Wald), is what
+    the cost rises without them (likelihood ratio). A curve of 3e-7 with an interval around zero had gained five million
+    noise variances: its fit had found the minimum that the refit had missed.
+
+    Args:
+        start: The baseline.
+        ranking: The ranking.
+
+    Source: Pawitan, In All Likelihood, ch. 2.9: Wald and likelihood-ratio statistics agree for a quadratic likelihood.
+    """
+    if not ranking.candidates or not ranking.best.cause.free or ranking.best.fit is ranking.reference:
+        return False
+    best = ranking.best
+    index = [best.fit.free.index(name) for name in best.cause.free]
+    away = np.array([best.fit.values[name] - start.values[name] for name in best.cause.free])
+    covariance = best.fit.covariance[np.ix_(index, index)]
+    worth = float(away @ np.linalg.lstsq(covariance, away, rcond=None)[0])
+    return worth < (1.0 - ELSEWHERE) * best.likelihood_ratio
 
 
 def crossed(
@@ -65,7 +91,7 @@ def crossed(
 
 
 def better_reference(
-    problem: FitProblem, start: Baseline, accepted: Sequence[Cause], ranking: Ranking
+    problem: FitProblem, start: Baseline, accepted: Sequence[Cause], ranking: Ranking, most: int = FRONT
 ) -> Fit | None:
     """Return a refit that starts where the candidates in front ended, without their causes; None if it is no better.
 
@@ -74,8 +100,10 @@ def better_reference(
         start: The baseline.
         accepted: Causes that are part of every fit.
         ranking: The ranking.
+        most: Number of candidates that give a start.
     """
     _, front = in_front(ranking)
+    front = front[:most]
     reference, trials = ranking.reference, []
     for leader in front:
         values = {**leader.fit.values, **{n: start.values[n] for n in leader.cause.free}}

@@ -11,7 +11,14 @@ import torch
 from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause, catalogue, is_changed, kind_of
 from deepkoco.diagnose.evidence.candidate_fits import fit_best
-from deepkoco.diagnose.evidence.crossed import at_another_place, better_reference, crossed, leaves_more
+from deepkoco.diagnose.evidence.crossed import (
+    FRONT,
+    at_another_place,
+    better_reference,
+    crossed,
+    gains_elsewhere,
+    leaves_more,
+)
 from deepkoco.diagnose.evidence.curved_valley import cheapest_in_valley
 from deepkoco.diagnose.evidence.event_windows import MIN_OTHER_WINDOWS, touched
 from deepkoco.diagnose.evidence.exchanged_states import hides_a_position, with_exchanged_states
@@ -207,8 +214,9 @@ def rank(
         won, reference = reference.cost - better.cost, better
         promised = {name: max(p - won, 0.0) for name, p in promised.items()}
         ranking = _ranked(problem, start, reference, tried, fits := fits | found, promised)
-    if cross and not many and start.tempering == 1.0 and leaves_more(problem, start, ranking):
-        better = better_reference(problem, start, accepted, ranking)
+    doubtful = gains_elsewhere(start, ranking) if many else leaves_more(problem, start, ranking)
+    if cross and start.tempering == 1.0 and doubtful:
+        better = better_reference(problem, start, accepted, ranking, 1 if many else FRONT)
         if better is not None and at_another_place(ranking, better):
             return rank(problem, start, better, accepted, hints, causes, limit, worth, wanted)
         if better is not None:
@@ -216,7 +224,8 @@ def rank(
             won = reference.cost - better.cost
             promised = {name: max(p - won, 0.0) for name, p in promised.items()}
             reference = better
-        fits |= crossed(problem, start, accepted, ranking)
+        if not many:
+            fits |= crossed(problem, start, accepted, ranking)
         ranking = _ranked(problem, start, reference, tried, fits, promised)
     ranking = with_natural_shapes(problem, start, accepted, ranking)
     return replace(ranking, unfitted=unfitted, beside=tuple(names), asked=tuple(c.name for c in everything))

@@ -1,0 +1,80 @@
+"""Fits that begin on the shortest windows where those of the windows themselves find no minimum."""
+
+import numpy as np
+import pytest
+
+from deepkoco.diagnose.baseline import baseline_from
+from deepkoco.diagnose.shorter_first import FEWEST, shorter_first
+from deepkoco.fit import FitProblem, Trial, cut_windows, moving
+from deepkoco.fit.fit import ITERATIONS
+from deepkoco.fit.solve.levenberg_marquardt import TOLERANCE
+from deepkoco.systems import make_system
+from tests.oracle.unit import hidden_log
+
+
+@pytest.fixture(scope="module")
+def arm():
+    """Windows of an arm that swings, its baseline, and the minimum that the values given lead to."""
+    base = make_system("two_link_arm")
+    windows = cut_windows([hidden_log("two_link_arm", {}, "steps", 1, 10.0)], base, 1.6)
+    windows = windows.take(moving(windows))
+    start = baseline_from(base, windows)
+    least = shorter_first(start.system, start.values, start.prior, start.prior.names, windows)
+    assert least.converged
+    return windows, start, least
+
+
+def far_values(windows, start, seed, spread=0.8):
+    problem, rng = FitProblem(start.system, windows), np.random.default_rng(seed)
+    far = dict(start.values)
+    for name in start.prior.names:
+        i = problem.names.index(name)
+        low, high = problem.low[i], problem.high[i]
+        far[name] = float(np.clip(far[name] * np.exp(rng.normal(0.0, spread)), low, high))
+    return far
+
+
+@pytest.mark.parametrize("seed", [3, 6])
+def test_short_windows_lead_to_the_minimum_that_long_ones_miss(arm, seed, monkeypatch):
+    windows, start, least = arm
+    far, lengths = far_values(windows, start, seed), []
+    fit = FitProblem.fit
+    monkeypatch.setattr(
+        FitProblem,
+        "fit",
+        lambda self, *a, **k: lengths.append(self.windows.length) or fit(self, *a, **k),
+    )
+    problem = FitProblem(start.system, windows)
+    state, _ = problem.fit_states(far, windows.state)
+    alone = problem.fit([Trial("alone", start.prior.names, start.prior, far, state)], ITERATIONS)[0]
+    assert alone.cost > least.cost + 100.0
+    lengths.clear()
+    found = shorter_first(start.system, far, start.prior, start.prior.names, windows)
+    assert found.cost == pytest.approx(least.cost, rel=0.0, abs=TOLERANCE)
+    assert lengths[0] == lengths[-1] == windows.length
+    assert lengths[1:] == sorted(lengths[1:])
+    assert lengths[1] < 0.25 * windows.length
+
+
+def test_a_fit_that_finds_a_minimum_needs_no_shorter_windows(arm, monkeypatch):
+    windows, start, _ = arm
+    lengths, fit = [], FitProblem.fit
+    monkeypatch.setattr(
+        FitProblem,
+        "fit",
+        lambda self, *a, **k: lengths.append(self.windows.length) or fit(self, *a, **k),
+    )
+    shorter_first(start.system, start.values, start.prior, start.prior.names, windows)
+    assert lengths == [windows.length]
+
+
+def test_windows_become_no_shorter_than_shows_a_motion(arm, monkeypatch):
+    windows, start, _ = arm
+    fewest, fit = [], FitProblem.fit
+    monkeypatch.setattr(
+        FitProblem,
+        "fit",
+        lambda self, *a, **k: fewest.append(int(self.windows.valid.sum(-1).min())) or fit(self, *a, **k),
+    )
+    shorter_first(start.system, far_values(windows, start, 3), start.prior, start.prior.names, windows, 2)
+    assert min(fewest) >= FEWEST - 1
