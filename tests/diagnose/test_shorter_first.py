@@ -34,23 +34,27 @@ def far_values(windows, start, seed, spread=0.8):
     return far
 
 
+def spied(monkeypatch):
+    """Windows of every fit from now on, in turn."""
+    fitted, fit = [], FitProblem.fit
+    monkeypatch.setattr(
+        FitProblem, "fit", lambda self, *a, **k: fitted.append(self.windows) or fit(self, *a, **k)
+    )
+    return fitted
+
+
 @pytest.mark.parametrize("seed", [3, 6])
 def test_short_windows_lead_to_the_minimum_that_long_ones_miss(arm, seed, monkeypatch):
     windows, start, least = arm
-    far, lengths = far_values(windows, start, seed), []
-    fit = FitProblem.fit
-    monkeypatch.setattr(
-        FitProblem,
-        "fit",
-        lambda self, *a, **k: lengths.append(self.windows.length) or fit(self, *a, **k),
-    )
+    far, fitted = far_values(windows, start, seed), spied(monkeypatch)
     problem = FitProblem(start.system, windows)
     state, _ = problem.fit_states(far, windows.state)
     alone = problem.fit([Trial("alone", start.prior.names, start.prior, far, state)], ITERATIONS)[0]
     assert alone.cost > least.cost + 100.0
-    lengths.clear()
+    fitted.clear()
     found = shorter_first(start.system, far, start.prior, start.prior.names, windows)
     assert found.cost == pytest.approx(least.cost, rel=0.0, abs=TOLERANCE)
+    lengths = [w.length for w in fitted]
     assert lengths[0] == lengths[-1] == windows.length
     assert lengths[1:] == sorted(lengths[1:])
     assert lengths[1] < 0.25 * windows.length
@@ -58,23 +62,13 @@ def test_short_windows_lead_to_the_minimum_that_long_ones_miss(arm, seed, monkey
 
 def test_a_fit_that_finds_a_minimum_needs_no_shorter_windows(arm, monkeypatch):
     windows, start, _ = arm
-    lengths, fit = [], FitProblem.fit
-    monkeypatch.setattr(
-        FitProblem,
-        "fit",
-        lambda self, *a, **k: lengths.append(self.windows.length) or fit(self, *a, **k),
-    )
+    fitted = spied(monkeypatch)
     shorter_first(start.system, start.values, start.prior, start.prior.names, windows)
-    assert lengths == [windows.length]
+    assert [w.length for w in fitted] == [windows.length]
 
 
 def test_windows_become_no_shorter_than_shows_a_motion(arm, monkeypatch):
     windows, start, _ = arm
-    fewest, fit = [], FitProblem.fit
-    monkeypatch.setattr(
-        FitProblem,
-        "fit",
-        lambda self, *a, **k: fewest.append(int(self.windows.valid.sum(-1).min())) or fit(self, *a, **k),
-    )
+    fitted = spied(monkeypatch)
     shorter_first(start.system, far_values(windows, start, 3), start.prior, start.prior.names, windows, 2)
-    assert min(fewest) >= FEWEST - 1
+    assert min(int(w.valid.sum(-1).min()) for w in fitted) >= FEWEST - 1
