@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from deepkoco.diagnose.causes.units import LARGE_MISFIT
 from deepkoco.fit.data.halves import halved
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import ITERATIONS, Fit, FitProblem, Trial
@@ -32,6 +33,8 @@ def shorter_first(
 ) -> Fit:
     """Fit parameters on windows; where that finds no minimum, on the shortest ones first, and on longer ones in turn.
 
+    A minimum that leaves a large misfit may be a false one, so short windows are asked there, too.
+
     Args:
         system: The extended system.
         values: Start values of all parameters.
@@ -49,7 +52,7 @@ def shorter_first(
     problem = FitProblem(system, windows)
     state, _ = problem.fit_states(values, windows.state)
     found = problem.fit_one(Trial("windows", names, prior, values, state), iterations)
-    if found.converged and not found.stuck:
+    if found.converged and not found.stuck and found.chi2 <= LARGE_MISFIT * windows.samples:
         return found
     levels = [problem]
     while (shorter := _parts(levels[-1].windows)) is not None:
