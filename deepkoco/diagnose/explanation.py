@@ -67,15 +67,15 @@ class Begun:
     first: First
 
 
-def begun(request: DiagnosisRequest, learned: Baseline) -> Begun:
-    """Refit a baseline and rank the causes for the first time.
+def refitted(request: DiagnosisRequest, learned: Baseline) -> Refitted:
+    """Refit a baseline to the logs.
 
     Args:
-        request: The logs, and the causes to try.
+        request: The logs.
         learned: The baseline, as given or as learned from healthy logs.
     """
     request.progress("refit of the simulation as given")
-    return _ranked(request, refit_to_logs(learned, request.data))
+    return refit_to_logs(learned, request.data)
 
 
 def explain(
@@ -96,7 +96,7 @@ def explain(
     """
     progress, more = request.progress, MOST_EXTENSIONS
     while True:
-        at = begun(request, learned) if at is None else at
+        at = ranked(request, refitted(request, learned)) if at is None else at
         base = replace(at.base, reference=at.refit)
         selection, first, found = _selected(request, at)
         base = replace(base, reference=first.reference)
@@ -106,7 +106,7 @@ def explain(
             finer = on_finer_steps(base, doubt.parts)
             if finer is not base and overtaken(finer, found, doubt):
                 base = finer
-                selection, first, found = _selected(request, _ranked(request, base))
+                selection, first, found = _selected(request, ranked(request, base))
                 base = replace(base, reference=first.reference)
         causes = seen_before(request, selection, found) if more else []
         if not causes:
@@ -120,7 +120,7 @@ def explain(
         learned, at = extended(base.start, causes), None
 
 
-def _ranked(request: DiagnosisRequest, base: Refitted) -> Begun:
+def ranked(request: DiagnosisRequest, base: Refitted) -> Begun:
     """Rank the causes on a refitted baseline for the first time."""
     selection = Selection(
         base.start,

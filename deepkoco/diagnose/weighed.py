@@ -23,13 +23,16 @@ from deepkoco.diagnose.evidence.classes import APART
 from deepkoco.diagnose.evidence.forward import Selection
 from deepkoco.diagnose.evidence.minor import Minor
 from deepkoco.diagnose.evidence.priors import prior_with
+from deepkoco.diagnose.evidence.ranking import Ranking
+from deepkoco.diagnose.evidence.selected import Selected
 from deepkoco.diagnose.evidence.selection import DETECTION
 from deepkoco.diagnose.explanation import (
     MOST_EXTENSIONS,
     Explanation,
-    begun,
     explain,
     of_mean,
+    ranked,
+    refitted,
     seen_before,
 )
 from deepkoco.diagnose.healthy import extended
@@ -49,7 +52,9 @@ from deepkoco.diagnose.probability.answer import Answer
 from deepkoco.diagnose.refitted import Refitted
 from deepkoco.diagnose.request import DiagnosisRequest
 from deepkoco.diagnose.residuals.residuals import dispersion, missing_torque
+from deepkoco.diagnose.residuals.whiteness import more_than_noise
 from deepkoco.fit.fit import Fit, Trial
+from deepkoco.fit.solve.lazy_batch import MANY
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.systems import Parameter
 
@@ -74,7 +79,11 @@ def explained(
         joined: Names of causes that joined the baseline before.
         more: Times that causes may still join it because the healthy logs are consistent with them.
     """
-    at = begun(request, learned)
+    base = refitted(request, learned)
+    single = _one_change_at_once(request, base, unfitted, joined, more)
+    if single is not None:
+        return single
+    at = ranked(request, base)
     weights = weights_before(request, at)
     if weights is not None:
         nothing = nothing_at_once(request, at, weights, unfitted, joined)
@@ -154,6 +163,31 @@ def _with_one_cause(request: DiagnosisRequest, explanation: Explanation, more: i
     if not again.found.accepted:
         return explanation
     return again if single or _is_one_cause(base, again, len(rivals)) else explanation
+
+
+def _one_change_at_once(
+    request: DiagnosisRequest, base: Refitted, unfitted: Sequence[str], joined: tuple[str, ...], more: int
+) -> Explanation | None:
+    """Return the explanation by one changed parameter before causes are ranked on a refit that leaves only noise.
+
+    A ranking there compares what chance has left, and takes minutes with many parameters. All causes compete afterwards
+    with the parameter, beside others as units of one make have them. None where more than this parameter is named.
+    """
+    fit, windows = base.reference, base.train
+    many = len(fit.free) + windows.state.shape[1] >= MANY
+    if not many or not is_asked(base) or more_than_noise(fit, windows, base.start) is not None:
+        return None
+    single = one_change(base, fit)
+    if not single or not request.limit.allows("one cause instead of many parameters"):
+        return None
+    best = max(single, key=lambda n: single[n])
+    request.progress(f"one cause instead of many parameters: {best}")
+    spread = dispersion(fit, windows)
+    nothing = Ranking(fit, (), spread, spread.deflation, windows.samples / spread.correlation)
+    refit = Explanation(base, nothing, Selected(fit, (), (), base.problem), joined, tuple(unfitted))
+    again = _selected_again(request, refit, [*request.causes, *request.regrouping], more)
+    alone = len(again.found.accepted) == 1 and again.found.lost is None
+    return again if alone and is_changed(again.found.accepted[0]) else None
 
 
 def _is_one_cause(base: Refitted, again: Explanation, choices: int) -> bool:
