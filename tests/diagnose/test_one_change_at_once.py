@@ -35,9 +35,8 @@ def recorded(seconds=12.0, seed=0):
     rng = np.random.default_rng(seed)
     model = mujoco.MjModel.from_xml_string(written((1.0, 0.7, 1.0)))
     data, t = mujoco.MjData(model), np.arange(0.0, seconds, H)
-    goals = 0.6 * np.sin(np.outer(t, [1.3, 1.9, 2.7]) + [0.0, 1.0, 2.0]) + 0.2 * np.sin(
-        np.outer(t, [4.1, 3.7, 5.3])
-    )
+    slow = np.sin(np.outer(t, [1.3, 1.9, 2.7]) + np.arange(3.0))
+    goals = 0.6 * slow + 0.2 * np.sin(np.outer(t, [4.1, 3.7, 5.3]))
     efforts, angles = [], []
     for goal in goals:
         angles.append(data.qpos.copy())
