@@ -214,8 +214,8 @@ def rank(
         won, reference = reference.cost - better.cost, better
         promised = {name: max(p - won, 0.0) for name, p in promised.items()}
         ranking = _ranked(problem, start, reference, tried, fits := fits | found, promised)
-    doubtful = gains_elsewhere(start, ranking) if many else leaves_more(problem, start, ranking)
-    if cross and start.tempering == 1.0 and doubtful:
+    crosses = cross and start.tempering == 1.0
+    if crosses and (gains_elsewhere(start, ranking) if many else leaves_more(problem, start, ranking)):
         better = better_reference(problem, start, accepted, ranking, 1 if many else FRONT)
         if better is not None and at_another_place(ranking, better):
             return rank(problem, start, better, accepted, hints, causes, limit, worth, wanted)
