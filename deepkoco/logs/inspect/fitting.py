@@ -83,7 +83,7 @@ def propose(survey: Survey, system: str | System | None = None, others: Sequence
             proposal = with_counts_of_speed(found, with_what_is_left(survey, proposal), samples)
             proposal = with_likely_units(found, proposal, samples)
         proposals[found.name] = found, proposal
-    proposals = {n: (own, with_numbers_of_drives(found)) for n, (own, found) in proposals.items()}
+    proposals = {n: (own, with_numbers_of_drives(own, found)) for n, (own, found) in proposals.items()}
     usable = [name for name, (_, proposal) in proposals.items() if proposal.complete(survey)]
     if not usable:
         raise _nothing(survey, next(iter(proposals.values()))[1], system is not None)

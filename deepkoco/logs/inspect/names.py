@@ -47,7 +47,10 @@ WORDS: dict[str, dict[str, float]] = {
         **dict.fromkeys(("throttle", "duty", "pwm", "dutycycle"), 3.0),
         **dict.fromkeys(("u", "input", "command", "cmd", "action", "control", "data"), 1.0),
     },
-    "length": dict.fromkeys(("x", "y", "z", "height", "altitude", "pos", "position", "weg", "hub"), 2.0),
+    "length": {
+        **dict.fromkeys(("x", "y", "z", "height", "altitude", "pos", "position", "weg", "hub"), 2.0),
+        **dict.fromkeys(("travel", "stroke", "displacement"), 2.0),
+    },
     "velocity": dict.fromkeys(("vx", "vy", "vz", "vel", "velocity", "speed", "geschwindigkeit"), 2.0),
     # No channel of a robot: what a recorder writes beside the motion.
     "another": {

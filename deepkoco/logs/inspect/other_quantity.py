@@ -6,19 +6,27 @@ from dataclasses import replace
 
 from deepkoco.logs.inspect.choice import Choice, Proposal
 from deepkoco.logs.units import parse_unit
+from deepkoco.systems import System
 
-OF_A_DRIVE = (
-    "current",
-    "voltage",
-)  # a torque or a force is not the number of a motor, but what its gear makes of it
+OF_A_DRIVE = ("current", "voltage")
+LOADS = {"rad": "torque", "m": "force"}  # on a joint, by the unit of its position
 
 
-def with_numbers_of_drives(proposal: Proposal) -> Proposal:
-    """Return a proposal in which a command without a unit is the number of amperes or volts of its column.
+def with_numbers_of_drives(system: System, proposal: Proposal) -> Proposal:
+    """Return a proposal in which a command without a unit is the number of its column's unit, where that is sure.
 
-    A motor of a model file takes a number. Where its gear is its torque constant, that is its current.
+    A motor of a model file takes a number. Where its gear is its torque constant, that is its current. A load on its
+    joint is what the gear makes of the number; so the torque of a motor that moves a slide is the number itself, and a
+    torque beside a hinge may be either.
+
+    Args:
+        system: The system.
+        proposal: What was proposed for it.
     """
-    return replace(proposal, choices=tuple(_as_number(choice) for choice in proposal.choices))
+    joints = dict(zip((c.name for c in system.commands), system.command_joints, strict=False))
+    loads = {name: LOADS.get(system.state_units[joint]) for name, joint in joints.items()}
+    choices = tuple(_as_number(choice, loads.get(choice.channel.name)) for choice in proposal.choices)
+    return replace(proposal, choices=choices)
 
 
 def measures_another(choice: Choice) -> bool:
@@ -27,10 +35,13 @@ def measures_another(choice: Choice) -> bool:
     return choice.column is not None and own != wanted
 
 
-def _as_number(choice: Choice) -> Choice:
+def _as_number(choice: Choice, load: str | None) -> Choice:
     own, wanted = parse_unit(choice.unit), parse_unit(choice.channel.unit)
     number = choice.channel.kind == "command" and wanted.quantity == "ratio"
-    if choice.column is None or not number or own.quantity not in OF_A_DRIVE:
+    of_a_drive = own.quantity in OF_A_DRIVE or (
+        load is not None and own.quantity in LOADS.values() and own.quantity != load
+    )
+    if choice.column is None or not number or not of_a_drive:
         return choice
     factor = own.factor / wanted.factor
     return replace(

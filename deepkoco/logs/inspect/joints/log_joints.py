@@ -13,7 +13,7 @@ from deepkoco.logs.units import parse_unit
 
 GOAL = {*COMMANDED, *WANTED, "commands", "goals", "actions", "targets", "trajectory", "controls"}
 MEASURED = {"meas", "measured", "actual", "feedback", "observation", "state", "states"}
-POSITION = {*said_by("angle"), "angles"}
+POSITION = {*said_by("angle"), "angles", "height", "altitude", "travel", "stroke", "displacement"}
 SPEED = said_by("angular velocity")
 EFFORT = {*said_by("torque"), *said_by("current"), "load", "torques", "currents"}
 LOADS = ("torque", "force")
@@ -234,7 +234,8 @@ def words_of(text: str) -> list[str]:
 def _without_unit(name: str) -> str:
     """The name without the unit in which :func:`read_name` reads its column: ``pan_current_mA`` is of the joint pan.
 
-    A letter may count joints: ``pos_a`` has no unit, and ``current_A`` is of a joint A. ``pan_current_A`` is in ampere.
+    A letter may count joints: ``pos_a`` has no unit, and ``current_A`` is of a joint A. ``pan_current_A`` is in ampere,
+    and ``cart_motor_cmd_N`` in newton.
     """
     parts = [part for part in re.split(r"[^A-Za-z0-9]+", name) if part]
     ahead, unit = unit_suffix(parts, name)
@@ -243,6 +244,6 @@ def _without_unit(name: str) -> str:
         return name
     words = {part.lower() for part in ahead}
     letter = len(parts) - len(ahead) == 1 and max(map(len, end)) == 1
-    if letter and (not words & EFFORT or words <= _ROLE_WORDS):
+    if letter and (not words & (EFFORT | GOAL) or words <= _ROLE_WORDS):
         return name
     return "_".join(ahead)
