@@ -70,31 +70,37 @@ def test_a_torque_drives_its_joint_for_sure_unless_a_word_says_what_may_be_measu
             read_logs([log], robot)
 
 
+HEIGHT = 0.1 * np.sin(2.0 * T) + 0.05 * np.sin(5.0 * T)
+LOAD = 8.0 * (
+    9.81 - 0.4 * np.sin(2.0 * T) - 1.25 * np.sin(5.0 * T)
+)  # mass times gravity and acceleration [N]
+
+
 def hoist(tmp_path, gear, columns):
     """Log and file of a hook on a drum."""
     (
         tmp_path / "hoist.xml"
     ).write_text(f"""<mujoco><worldbody><body><joint name="hook" type="slide" axis="0 0 1"/>
 <inertial pos="0 0 0" mass="8" diaginertia="0.1 0.1 0.1"/></body></worldbody>
-<actuator><motor name="hoist_motor" joint="hook" gear="{gear}" ctrlrange="-4 4"/></actuator></mujoco>""")
+<actuator><motor name="hoist_motor" joint="hook" gear="{gear}" ctrlrange="0 {100 / gear}"/></actuator></mujoco>""")
     pd.DataFrame({"t_s": T, **columns}).to_csv(tmp_path / "log.csv", index=False)
     return tmp_path / "log.csv", deepkoco.load_system(tmp_path / "hoist.xml")
 
 
 def test_a_command_in_newton_is_of_the_actuator_before_its_unit(tmp_path):
-    log, robot = hoist(tmp_path, 1, {"hook_pos_m": late(PAN), "hoist_motor_cmd_N": PAN})
+    log, robot = hoist(tmp_path, 1, {"hook_pos_m": HEIGHT, "hoist_motor_cmd_N": LOAD})
     (read,) = read_logs([log], robot)
-    np.testing.assert_allclose(read.channels["hoist_motor"].value, PAN)
+    np.testing.assert_allclose(read.channels["hoist_motor"].value, LOAD)
 
 
 def test_the_torque_of_a_motor_that_moves_a_slide_is_the_number_of_its_actuator(tmp_path):
-    log, robot = hoist(tmp_path, 80, {"hook_height_m": late(PAN), "hoist_motor_cmd_Nm": PAN})
+    log, robot = hoist(tmp_path, 80, {"hook_height_m": HEIGHT, "hoist_motor_cmd_Nm": LOAD / 80.0})
     (read,) = read_logs([log], robot)
-    np.testing.assert_allclose(read.channels["hoist_motor"].value, PAN)
-    np.testing.assert_allclose(read.channels["q_hook"].value, late(PAN))
+    np.testing.assert_allclose(read.channels["hoist_motor"].value, LOAD / 80.0)
+    np.testing.assert_allclose(read.channels["q_hook"].value, HEIGHT)
 
 
 def test_a_force_on_a_slide_is_not_the_number_of_a_motor_behind_a_gear(tmp_path):
-    log, robot = hoist(tmp_path, 80, {"hook_height_m": late(PAN), "hoist_motor_cmd_N": PAN})
-    with pytest.raises(LogError, match=r"no sidecar .*hoist_motor"):
+    log, robot = hoist(tmp_path, 80, {"hook_height_m": HEIGHT, "hoist_motor_cmd_N": LOAD})
+    with pytest.raises(LogError, match=r"hoist_motor_cmd_N is in N, and hoist_motor is in 1"):
         read_logs([log], robot)
