@@ -269,7 +269,7 @@ def _print(
     if refusal is not None:
         say(f"! {refusal}")
     if fitting is not None and args.out is None:
-        names = " or ".join((fitting.proposal.system, *(fitting.alike if args.system is None else ())))
+        names = args.system or " or ".join((fitting.proposal.system, *fitting.alike))
         say(f"write this mapping with --system {names} --out {sidecar_path(args.given)}")
     for target in (None if fitting is None else args.out, args.plot):
         if target is not None:

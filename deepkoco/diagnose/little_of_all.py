@@ -15,7 +15,7 @@ from deepkoco.diagnose.baseline import LONG, Baseline
 from deepkoco.diagnose.causes import Cause, is_changed
 from deepkoco.diagnose.causes.tolerance import OF_MODEL_FILE, Healthy
 from deepkoco.diagnose.data_sheet import with_usual_spread
-from deepkoco.diagnose.evidence.minor import sample_period
+from deepkoco.diagnose.evidence.minor import sample_period, usual_speed
 from deepkoco.diagnose.evidence.priors import declared, prior_with
 from deepkoco.diagnose.evidence.selected import Selected
 from deepkoco.diagnose.explanation import Explanation, of_mean
@@ -140,8 +140,9 @@ def usual_sizes(start: Baseline, cause: Cause, fit: Fit | None, problem: FitProb
         return []
     loads = start.system.load_scales
     load, period = max(loads) if cause.joint is None else loads[cause.joint], sample_period(problem.windows)
+    speed = usual_speed(start, cause, problem.windows.state if fit is None else fit.state)
     return [
-        replace(p, prior_sd=OF_MODEL_FILE * cause.tolerance(Healthy(p, load, period, dict(values))))
+        replace(p, prior_sd=OF_MODEL_FILE * cause.tolerance(Healthy(p, load, period, dict(values), speed)))
         for p in declared(problem, cause.free)
     ]
 

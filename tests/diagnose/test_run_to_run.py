@@ -151,7 +151,11 @@ def test_a_healthy_log_that_says_nothing_does_not_answer_those_that_do(logs, bef
     windows = SimpleNamespace(log=np.arange(len(logs)))
     start = SimpleNamespace(healthy=SimpleNamespace(windows=windows, causes=()), runs=None)
     cause = Hypothesis(catalogue(SYSTEM)["coulomb"], (), None)
-    assert consistent_with_healthy(start, None, [cause]) == [before]
+    # Without run-to-run variance, the logs must also agree on one unit that has it.
+    for together in (0.0, 900.0):
+        asked = iter(known)
+        monkeypatch.setattr(seen_when_healthy, "_chi2_together", lambda *_, chi2=together: [chi2])
+        assert consistent_with_healthy(start, None, [cause]) == [before and together == 0.0]
 
 
 @pytest.mark.study

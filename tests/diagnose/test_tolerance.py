@@ -4,15 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepkoco.diagnose.baseline import baseline_from
 from deepkoco.diagnose.causes import catalogue
-from deepkoco.diagnose.causes.tolerance import CLOCK_RATE, LOAD_SHARE, Healthy
+from deepkoco.diagnose.causes.tolerance import CLOCK_RATE, LOAD_SHARE, MOVING_SHARE, SHARE_OF_USUAL, Healthy
 from deepkoco.diagnose.evidence import classes, refine_ranking
 from deepkoco.diagnose.evidence.classes import APART, width
-from deepkoco.diagnose.evidence.minor import sample_period, tolerated
+from deepkoco.diagnose.evidence.minor import sample_period, tolerated, usual_speed
 from deepkoco.diagnose.evidence.ranking import Candidate, Ranking
 from deepkoco.diagnose.evidence.refine_ranking import classed
 from deepkoco.diagnose.residuals.residuals import SLOTS, Dispersion, white_limit
@@ -79,6 +80,34 @@ def test_tolerances_are_those_of_a_healthy_machine(stage):
         for d in (1.0, 0.1)
     )
     assert (long, short) == pytest.approx((LOAD_SHARE * LOAD, 10.0 * LOAD_SHARE * LOAD))
+
+
+@pytest.mark.parametrize(
+    ("name", "parameter", "power"),
+    [
+        ("viscous", "viscous.change", 1),
+        ("asymmetric_viscous", "asymmetric_viscous.difference", 1),
+        ("quadratic", "quadratic.drag", 2),
+    ],
+)
+def test_a_friction_that_grows_with_the_speed_is_tolerated_by_its_load_on_a_fast_joint(
+    name, parameter, power
+):
+    system = ExtendedSystem(BASE, (name,), {})
+    declared = system.parameter(parameter)
+    slow, unknown, fast = (
+        KNOWN[name].tolerance(Healthy(declared, LOAD, 0.01, {}, v)) for v in (1.0, 0.0, 60.0)
+    )
+    assert slow == unknown == pytest.approx(SHARE_OF_USUAL * declared.prior_sd)
+    # The wheel meets at its speed no more than that share of its load.
+    assert fast * 60.0**power == pytest.approx(MOVING_SHARE * LOAD)
+
+
+def test_the_speed_of_a_joint_is_that_of_its_windows(stage):
+    _, start, _ = stage
+    state = torch.tensor([[0.0, 3.0], [5.0, -4.0]], dtype=torch.float64)
+    for name in ("viscous", "clock_skew"):
+        assert usual_speed(start, KNOWN[name], state) == pytest.approx(np.sqrt(12.5))
 
 
 @pytest.mark.parametrize(

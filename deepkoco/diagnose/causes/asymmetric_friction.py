@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from deepkoco.diagnose.causes.cause import Cause
+from deepkoco.diagnose.causes.tolerance import share_at_speed
 
 ASYMMETRIC_VISCOUS = Cause(
     "asymmetric_viscous",
@@ -15,4 +16,5 @@ ASYMMETRIC_VISCOUS = Cause(
     "at every speed, an actuator that is stronger one way a share of its effort; this friction grows with the speed.",
     "omega",
     lambda motion: -0.5 * np.abs(motion.omega),
+    tolerance=share_at_speed(1),
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from deepkoco.diagnose.causes.cause import Cause, Hint
+from deepkoco.diagnose.causes.tolerance import share_at_speed
 from deepkoco.systems.effects.hysteresis import BEND
 
 ADVICE = (
@@ -38,6 +39,7 @@ VISCOUS = Cause(
     ADVICE,
     "omega",
     lambda motion: -motion.omega,
+    tolerance=share_at_speed(1),
 )
 COULOMB = Cause(
     "coulomb",
@@ -67,6 +69,7 @@ QUADRATIC = Cause(
     ADVICE,
     "omega",
     lambda motion: -motion.omega * np.abs(motion.omega),
+    tolerance=share_at_speed(2),
 )
 LOAD_FRICTION = Cause(
     "load_friction",

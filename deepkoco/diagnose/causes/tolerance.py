@@ -16,6 +16,9 @@ from deepkoco.systems import Parameter
 # load for dry friction. A healthy machine has this share of it, so its friction is known to 0.05 % of that load.
 SHARE_OF_USUAL = 2.5e-3
 LOAD_SHARE = 5e-4  # of a joint's typical load
+MOVING_SHARE = (
+    5e-3  # of that load, which a friction that grows with the speed may add at the joint's usual speed
+)
 PUSH_LASTS = 1.0  # a load of that share may act for so long [s]; a shorter one may be stronger
 CLOCK_RATE = 5e-5  # crystal clocks differ by 20 to 50 parts per million
 LEAD_SHARE = (
@@ -38,12 +41,14 @@ class Healthy(NamedTuple):
         load: Typical load of the joint of the cause [N m or N].
         period: Sample period of the log [s].
         values: Fitted values of all parameters.
+        speed: Root mean square of the joint's speed in the log [rad/s or m/s]; 0 where nothing says it.
     """
 
     parameter: Parameter
     load: float
     period: float
     values: dict[str, float]
+    speed: float = 0.0
 
 
 Tolerance = Callable[[Healthy], float]
@@ -52,6 +57,23 @@ Tolerance = Callable[[Healthy], float]
 def share_of_usual(healthy: Healthy) -> float:
     """Return a share of the size of a usual small fault."""
     return SHARE_OF_USUAL * healthy.parameter.prior_sd
+
+
+def share_at_speed(power: int) -> Tolerance:
+    """Return the tolerance of a friction that grows with a power of the speed.
+
+    The size of a usual small fault is that of a joint that moves at 1 rad/s. A wheel at 60 rad/s meets sixty times that
+    load, or 3,600 times; no healthy machine has so much.
+
+    Args:
+        power: Of the speed.
+    """
+
+    def tolerance(healthy: Healthy) -> float:
+        most = MOVING_SHARE * healthy.load / max(healthy.speed, 1e-9) ** power
+        return min(share_of_usual(healthy), most)
+
+    return tolerance
 
 
 def of_data_sheet(healthy: Healthy) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from torch import Tensor
 
 from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause, is_changed
@@ -63,10 +64,27 @@ def tolerated(problem: FitProblem, start: Baseline, cause: Cause, fit: Fit, defl
         span = nulls.get(parameter.name, learned) - learned
         least, greatest = learned + min(BEYOND * span, 0.0), learned + max(BEYOND * span, 0.0)
         away = max(least - (value - reach), value + reach - greatest)
-        most = cause.tolerance(Healthy(parameter, load, period, dict(fit.values)))
+        most = cause.tolerance(
+            Healthy(parameter, load, period, dict(fit.values), usual_speed(start, cause, fit.state))
+        )
         if not away <= (most if is_changed(cause) else start.roughness * most):
             return False
     return True
+
+
+def usual_speed(start: Baseline, cause: Cause, state: Tensor) -> float:
+    """Return the root mean square of the speed of a cause's joint in initial states (W, S).
+
+    It is that of the fastest joint where the cause has none.
+
+    Args:
+        start: The baseline.
+        cause: The cause.
+        state: Initial states of the windows.
+    """
+    own = state[:, start.system.joints : 2 * start.system.joints]
+    fastest = own.square().mean(0).sqrt()
+    return float(fastest.max() if cause.joint is None else fastest[cause.joint])
 
 
 def sample_period(windows: Windows) -> float:

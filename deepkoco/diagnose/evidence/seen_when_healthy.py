@@ -19,7 +19,7 @@ from deepkoco.diagnose.evidence.selected import Selected
 from deepkoco.diagnose.evidence.selection import CLOSE, PATIENCE
 from deepkoco.diagnose.evidence.start_values import WIDTHS
 from deepkoco.diagnose.residuals.residuals import MissingTorque, missing_torque
-from deepkoco.diagnose.run_to_run import within_bounds
+from deepkoco.diagnose.run_to_run import unshown, within_bounds
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.dispersion import dispersion
@@ -82,6 +82,11 @@ def consistent_with_healthy(
     before = np.array(alike.all(0) | (alike & shown).any(0))
     if start.runs is not None:
         before |= np.array(_chi2_together(start, problem, healthy, hypotheses)) <= limits
+    elif before.any():
+        # What is open in each log alone, as a load whose motor may be stronger, need not be open between them.
+        asked = np.flatnonzero(before)
+        more = _chi2_together(start, problem, healthy, [hypotheses[i] for i in asked])
+        before[asked] = np.array(more) <= limits[asked]
     return [h.cause.name not in known and bool(was) for h, was in zip(hypotheses, before, strict=True)]
 
 
@@ -183,13 +188,14 @@ def _chi2_together(
     torque constant. Any value of the gain suits them, but each goes with another torque constant, so a doubled gain
     of the other logs still shows. The cause and the rest of the unit are therefore taken from one estimate.
 
+    A single healthy log leaves open how far this unit differs from run to run (:func:`.run_to_run.unshown`).
+
     Args:
         start: The baseline.
         problem: Windows on which the causes were selected.
-        healthy: The healthy logs, with run-to-run variance.
+        healthy: The healthy logs, with run-to-run variance where there are several.
         hypotheses: The causes.
     """
-    assert start.runs is not None
     everywhere = np.full(len(healthy.windows), True)
     before, learned, windows, correlation = _healthy_prior(start, healthy, everywhere)
     usual = FitProblem(start.system, windows)
@@ -199,12 +205,14 @@ def _chi2_together(
         for at in (values, healthy.fit.values):
             trials.append(replace(freed(usual, before, (*learned, cause), healthy.fit, at), name=cause.name))
     fits = usual.fit(trials, PATIENCE, CLOSE)
-    # Windows with parameters of their own for each log have the run-to-run variance already.
-    own = (
-        {}
-        if problem.nuisances.varies
-        else dict(zip(before.prior.names, np.diag(start.runs.differ), strict=True))
-    )
+    if problem.nuisances.varies:
+        own = {}  # windows with parameters of their own for each log have the run-to-run variance already
+    elif start.runs is not None:
+        own = dict(zip(before.prior.names, np.diag(start.runs.differ), strict=True))
+    else:
+        kept = [g.fixed for g in start.gauges]
+        open_to = unshown(start.system, before.prior.names, healthy.fit.values, kept)
+        own = dict(zip(before.prior.names, np.diag(open_to), strict=True))
     again: list[Trial] = []
     for (_, beside, fit), *both in zip(hypotheses, fits[::2], fits[1::2], strict=True):
         unit = min(both, key=lambda f: f.cost)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from deepkoco.logs.checks.channel_checks import TURNS
 from deepkoco.logs.checks.derivative import Relation
 from deepkoco.logs.inspect.survey import ColumnSurvey, Survey
 from deepkoco.logs.sidecar import ChannelColumn, Column
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from deepkoco.logs.inspect.joints.finding import JointFinding
 
 ONE_SCALE = 1.2  # ratio up to which estimated scales of speeds are those of one unit
+AGREE = 0.9  # agreement of a position with its speed, from which the unit of both is right
 SURE, LIKELY = 0.9, 0.6  # probabilities from which a choice is called sure or likely
 
 
@@ -120,6 +122,15 @@ class Proposal:
 def mapping_of(survey: Survey, proposal: Proposal) -> dict[str, ChannelColumn]:
     """Convert a proposal to channels of a sidecar; channels without a column are left out."""
     channels = {}
+    named = {c.column.label for c in proposal.choices if c.column is not None and c.stated}
+    # A shaft may turn any number of times; its speed says that its unit is right, where both state theirs.
+    sure = {
+        label
+        for (label, rate), relation in proposal.relations.items()
+        if {label, rate} <= named
+        and relation.agreement > AGREE
+        and 1.0 / ONE_SCALE < relation.ratio < ONE_SCALE
+    }
     for choice in proposal.choices:
         column = choice.column
         if column is None:
@@ -136,9 +147,18 @@ def mapping_of(survey: Survey, proposal: Proposal) -> dict[str, ChannelColumn]:
             time,
             column.topic,
             scale=choice.scale,
+            checked=column.label in sure and _turns(choice),
             offset=choice.offset,
         )
     return channels
+
+
+def _turns(choice: Choice) -> bool:
+    """Whether a column is an angle of so many turns that a reader doubts its unit."""
+    unit, column = parse_unit(choice.unit), choice.column
+    if column is None or column.low is None or column.high is None or unit.quantity != "angle":
+        return False
+    return abs(choice.scale) * unit.factor * (column.high - column.low) > TURNS
 
 
 def restrict(proposal: Proposal, names: Sequence[str]) -> Proposal:
