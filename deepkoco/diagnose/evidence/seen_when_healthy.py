@@ -84,7 +84,7 @@ def consistent_with_healthy(
         before |= np.array(_chi2_together(start, problem, healthy, hypotheses)) <= limits
     elif before.any():
         # What is open in each log alone, as a load whose motor may be stronger, need not be open between them.
-        asked = np.flatnonzero(before)
+        asked = np.flatnonzero(before).tolist()
         more = _chi2_together(start, problem, healthy, [hypotheses[i] for i in asked])
         before[asked] = np.array(more) <= limits[asked]
     return [h.cause.name not in known and bool(was) for h, was in zip(hypotheses, before, strict=True)]
