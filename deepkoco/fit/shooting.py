@@ -62,13 +62,9 @@ class ShootingProblem:
         self.high = np.array([declared[n].high for n in self.names])
         self.scale = np.array([declared[n].prior_sd for n in self.names])
         self.weight = windows.valid.to(torch.float64) / windows.sample_sd
-        self.never_negative = np.array(
-            [[row.get(n, 0.0) for n in self.names] for row in system.never_negative]
-        ).reshape(-1, len(self.names))
         self.zeros = EncoderZeros.of(system, len(windows.commands), zero_sd)
         self.nuisances = Nuisances(self.zeros, windows.varies)
         self._kept: dict[tuple[str, ...], ExtendedSystem] = {}
-        self.difference: float | None = None  # size of finite differences, once it was chosen
         self._usual: Self | None = None
         self._uncut = False  # whether `_usual` would be this problem itself
 
@@ -77,13 +73,6 @@ class ShootingProblem:
         """Largest number of lanes that are simulated in one batch."""
         most = MEASUREMENTS * (1 if self._compiled else IN_TORCH)
         return max(most // max(self.windows.value.numel(), 1), 1)
-
-    def along(self, at: np.ndarray, straight: np.ndarray) -> np.ndarray:
-        """Return where a step ends that leaves ``at`` towards ``straight``, both (P,), within the bounds.
-
-        It follows a line of the system along which its loads change in proportion: :meth:`.System.along`.
-        """
-        return np.clip(self.system.along(self.names, at, straight), self.low, self.high)
 
     @cached_property
     def _compiled(self) -> bool:

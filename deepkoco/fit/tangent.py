@@ -1,10 +1,4 @@
-"""Finite differences of simulations in parameters and initial states, as lanes of one batch.
-
-Many parameters of a robot have almost the same effect: a motion hardly tells a weaker motor from heavier links. What
-tells them apart is a small difference of large slopes. An error of a thousandth of a slope then counts as information
-where there is none, and holds a fit in the middle of a valley. So the size of the differences is chosen by what the
-simulation shows (:func:`difference_size`).
-"""
+"""Finite differences of simulations in parameters and initial states, as lanes of one batch."""
 
 from __future__ import annotations
 
@@ -25,19 +19,10 @@ MANY_STATES = 8
 COARSER = 100.0  # larger differences with so many states
 
 
-# Sizes that are tried, as shares of a parameter's scale.
-SIZES = (COARSER * PARAMETER_STEP, PARAMETER_STEP, PARAMETER_STEP / COARSER)
-
-
-def state_steps(states: int, size: float | None = None) -> tuple[float, ...]:
-    """Finite differences of an initial state: positions first, then speeds.
-
-    Args:
-        states: Number of states.
-        size: Of the finite differences of parameters; None for the usual one.
-    """
-    more = (parameter_step(states) if size is None else size) / PARAMETER_STEP
-    return (more * POSITION_STEP,) * (states // 2) + (more * SPEED_STEP,) * (states // 2)
+def state_steps(states: int) -> tuple[float, ...]:
+    """Finite differences of an initial state: positions first, then speeds."""
+    size = COARSER if states >= MANY_STATES else 1.0
+    return (size * POSITION_STEP,) * (states // 2) + (size * SPEED_STEP,) * (states // 2)
 
 
 def parameter_step(states: int) -> float:
@@ -61,12 +46,7 @@ class Tangent:
 
     @staticmethod
     def at(
-        problem: ShootingProblem,
-        theta: np.ndarray,
-        columns: np.ndarray,
-        state: Tensor,
-        states: bool = True,
-        size: float | None = None,
+        problem: ShootingProblem, theta: np.ndarray, columns: np.ndarray, state: Tensor, states: bool = True
     ) -> Tangent:
         """Return the lanes around a point.
 
@@ -76,11 +56,10 @@ class Tangent:
             columns: (q,) numbers of those that are moved.
             state: (W, S) initial states.
             states: Whether initial states are moved too.
-            size: Of the differences, as a share of a parameter's scale; None for the usual one.
         """
-        step = (parameter_step(state.shape[1]) if size is None else size) * problem.scale[columns]
+        step = parameter_step(state.shape[1]) * problem.scale[columns]
         step = np.where(theta[columns] + step > problem.high[columns], -step, step)
-        nudge = state_steps(state.shape[1], size) if states else ()
+        nudge = state_steps(state.shape[1]) if states else ()
         count = 1 + len(columns) + len(nudge)
         lanes = np.repeat(theta[None], count, axis=0)
         lanes[1 + np.arange(len(columns)), columns] += step
@@ -156,51 +135,3 @@ def simulated(problem: ShootingProblem, tangents: Sequence[Tangent], nuisance: T
     roughly += error[number]
     result[torch.from_numpy(many & ~exact)] = roughly[torch.from_numpy(~exact[many])]
     return result
-
-
-def difference_size(
-    problem: ShootingProblem, theta: np.ndarray, columns: np.ndarray, state: Tensor, nuisance: Tensor
-) -> float:
-    """Return the size of finite differences whose slopes have the smallest error, as a share of a parameter's scale.
-
-    The error of a one-sided slope is half of its difference from the slope to the other side. It grows with the size
-    where the simulation is curved, and falls with it where the simulation jumps or is rounded.
-
-    Args:
-        problem: The problem; it keeps the answer.
-        theta: (P,) all parameters.
-        columns: (q,) numbers of those that are moved.
-        state: (W, S) initial states.
-        nuisance: (z,) nuisances of the logs.
-
-    Source: Gill, Murray, Saunders, Wright, Computing forward-difference intervals for numerical optimization (1983).
-    """
-    if problem.difference is None:
-        problem.difference = _difference_size(problem.with_usual_steps, theta, columns, state, nuisance)
-    return problem.difference
-
-
-def _difference_size(
-    problem: ShootingProblem, theta: np.ndarray, columns: np.ndarray, state: Tensor, nuisance: Tensor
-) -> float:
-    usual, states = parameter_step(state.shape[1]), state.shape[1]
-    inside = np.minimum(theta[columns] - problem.low[columns], problem.high[columns] - theta[columns])
-    moved = columns[inside > usual * problem.scale[columns]]
-    # All at once, and every other one the other way.
-    signs = [np.ones(len(moved) + states), np.where(np.arange(len(moved) + states) % 2, -1.0, 1.0)]
-    lanes, starts = [theta], [state]
-    for size in SIZES:
-        nudge = np.array(state_steps(states, size))
-        for sign in signs:
-            for side in (-1.0, 1.0):
-                lane = theta.copy()
-                lane[moved] += side * sign[: len(moved)] * size * problem.scale[moved]
-                lanes.append(lane)
-                starts.append(state + torch.from_numpy(side * sign[len(moved) :] * nudge))
-    shown = problem.predict(np.array(lanes), torch.stack(starts), nuisance[None].expand(len(lanes), -1))
-    both = shown[1:].unflatten(0, (len(SIZES), len(signs), 2))
-    second = (both.sum(2) - 2.0 * shown[0]) * problem.weight
-    errors = (second**2).flatten(1).sum(1).sqrt() / torch.tensor(SIZES, dtype=torch.float64)
-    if not bool(torch.isfinite(errors).any()):
-        return usual
-    return SIZES[int(errors.nan_to_num(torch.inf).argmin())]

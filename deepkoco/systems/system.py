@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from functools import cached_property
 from typing import Self
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -224,23 +223,6 @@ class System(SignalPath, NamedJoints, Drawn, metaclass=Declared):
         A name need not be one of :attr:`parameters`, where no motion shows it; the equations then know it all the same.
         """
         return {}
-
-    def along(self, names: Sequence[str], at: np.ndarray, straight: np.ndarray) -> np.ndarray:
-        """Return where a line of parameters ends along which the loads of the system change in proportion.
-
-        A fit that goes along such lines does not leave a valley of sets that no motion tells apart.
-
-        Args:
-            names: P parameters, with those of effects; the line of what is not the system's is straight.
-            at: (P,) where it begins.
-            straight: (P,) where a straight line ends that leaves ``at`` in the same direction.
-        """
-        return straight
-
-    @property
-    def never_negative(self) -> tuple[dict[str, float], ...]:
-        """Sums of parameters that are below zero in no machine: names of parameters -> their weights."""
-        return ()
 
     @property
     def engines(self) -> tuple[str, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from copy import copy
 from typing import Self
 
@@ -178,13 +178,6 @@ class WrappedSystem(System):
     @property
     def bodies(self) -> dict[str, dict[str, float]]:
         return self.base.bodies
-
-    def along(self, names: Sequence[str], at: np.ndarray, straight: np.ndarray) -> np.ndarray:
-        return self.base.along(names, at, straight)
-
-    @property
-    def never_negative(self) -> tuple[dict[str, float], ...]:
-        return self.base.never_negative
 
     @property
     def engines(self) -> tuple[str, ...]:

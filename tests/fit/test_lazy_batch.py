@@ -106,7 +106,7 @@ class Valley:
     """
 
     names, low, high = ("x", "y"), np.full(2, -10.0), np.full(2, 10.0)
-    scale, never_negative, difference = np.ones(2), np.zeros((0, 2)), None
+    scale = np.ones(2)
     weight = torch.ones(1, 3, 1, dtype=torch.float64)
     nuisances = SimpleNamespace(
         varies=(),
@@ -129,9 +129,6 @@ class Valley:
 
     def nuisance_slopes(self, slopes):
         return slopes[:0]
-
-    def along(self, at, straight):
-        return np.clip(straight, self.low, self.high)
 
     def predict(self, theta, state, nuisance):
         x, y = torch.from_numpy(theta).T

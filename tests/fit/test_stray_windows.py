@@ -26,7 +26,6 @@ class OneStray:
 
     names, low, high = ("x",), np.full(1, -10.0), np.full(1, 10.0)
     scale, most_lanes = np.ones(1), 256
-    never_negative, difference = np.zeros((0, 1)), None
     nuisances = SimpleNamespace(
         varies=(),
         spread=np.zeros(0),
@@ -53,9 +52,6 @@ class OneStray:
 
     def nuisance_slopes(self, slopes):
         return slopes[:0]
-
-    def along(self, at, straight):
-        return np.clip(straight, self.low, self.high)
 
     def predict(self, theta, state, nuisance):
         self.simulated.append(len(theta) * len(self.index))

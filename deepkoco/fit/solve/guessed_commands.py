@@ -129,7 +129,7 @@ def with_guesses_fitted(
     begin = Trial("lost rows", fit.free, prior, fit.values, fit.state, fit.nuisance)
     if not normal.finite:
         return windows, begin
-    move, states, _ = normal.solve(LEAST_DAMPING, np.eye(len(columns)), np.zeros(len(columns)))
+    move, states, _ = normal.solve(LEAST_DAMPING, np.zeros(len(columns), dtype=bool), np.zeros(len(columns)))
     there = np.clip(theta[columns] + move, problem.low[columns], problem.high[columns])
     values = {**fit.values, **dict(zip(fit.free, map(float, there), strict=True))}
     steps = states[:, size:].unflatten(1, (count, lanes)).numpy()

@@ -26,7 +26,7 @@ from deepkoco.fit.solve.frozen_slopes import FrozenSlopes, slopes_at, varying
 from deepkoco.fit.solve.levenberg_marquardt import LARGEST_DAMPING, LEAST_DAMPING, TOLERANCE, Batch
 from deepkoco.fit.solve.normal_equations import NormalEquations
 from deepkoco.fit.solve.scaled_inverse import DivergedError
-from deepkoco.fit.tangent import Tangent, difference_size, simulated
+from deepkoco.fit.tangent import Tangent, simulated
 
 MANY = 20  # parameters and initial states from which slopes are kept
 POOR = 0.2  # share of the predicted fall of the cost below which they are computed again
@@ -36,12 +36,7 @@ LANES = 256  # simulations in one batch
 # step has shown is shared out.
 POSITION_SCALE, SPEED_SCALE = 0.1, 1.0
 STEPS = 3  # with kept slopes, for each iteration that is allowed
-PROBE = 0.1  # share of a step at which, and at twice of which, the curvature along it is looked at
-NO_DAMPING = 1e-14  # beside rounding
-SHORTER, LEAST_SHARE = (
-    0.3,
-    0.01,
-)  # factor of the share of an undamped step that follows a failure, and its end
+PROBE = 0.1  # share of a step to both sides at which the curvature along it is looked at
 MOST_CURVED = 0.75  # length of twice the added step, as a share of the straight one, up to which it is added
 
 
@@ -80,8 +75,6 @@ class LazyBatch(Batch):
         self.partly = np.zeros(count, dtype=bool)  # the latter were computed at the best point
         self.fresh: list[dict[str, Tensor]] = [{}] * count
         self.curved = np.zeros(count, dtype=bool)  # a step with slopes of its point has raised the cost
-        self.undamped = np.zeros(count, dtype=bool)
-        self.share = np.ones(count)  # of an undamped step
 
     def run(self, iterations: int) -> list[Fit]:
         points = self.theta.copy(), self.initial.clone(), self.nuisance.clone()
@@ -127,7 +120,6 @@ class LazyBatch(Batch):
             self.current[k], self.partly[k] = fresh, False
             if not first:
                 self.damping[k] = max(self.damping[k] * 0.1, LEAST_DAMPING)
-                self.share[k] = min(self.share[k] / SHORTER, 1.0)
                 if decrease < self._tolerance(k):
                     self._settle(k)
                 elif decrease < POOR * self.predicted[k]:
@@ -135,15 +127,12 @@ class LazyBatch(Batch):
         elif first:
             self.done[k] = True
         elif self.current[k] or not self._ask_for_slopes(k):
-            if self.undamped[k]:
-                self.share[k] *= SHORTER
-            else:
-                self.damping[k] *= 20.0
+            self.damping[k] *= 20.0
             self.curved[k] |= self.current[k]
             # If the step raises the cost by rounding errors only, the cost is at its minimum.
             if normal.finite and -decrease < 1e-3 * self._tolerance(k):
                 self._settle(k)
-            self.done[k] |= self.damping[k] > LARGEST_DAMPING or self.share[k] < LEAST_SHARE
+            self.done[k] |= self.damping[k] > LARGEST_DAMPING
         self.history[k].append(float(self.cost[k]))
 
     def _mended(
@@ -183,8 +172,7 @@ class LazyBatch(Batch):
         """
         if self.left[k] > 0:
             self.left[k] -= 1
-            # Along a curved valley all slopes change.
-            self.renewing[k], self.whole[k] = True, bool(whole or self.partly[k] or self.curved[k])
+            self.renewing[k], self.whole[k] = True, whole or self.partly[k]
         return bool(self.renewing[k])
 
     def _renew(self, k: int, normal: NormalEquations) -> None:
@@ -197,51 +185,22 @@ class LazyBatch(Batch):
             self.done[k] = True
 
     def _settle(self, k: int) -> None:
-        """End a trial whose steps no longer lower the cost, or renew its slopes before.
-
-        A damped step may promise nothing although there is a long way to go: damping counts in the largest slopes, and
-        along a valley the cost falls a million times less than across. Then undamped steps are tried, and shares of
-        them.
-        """
-        if self.exact and not self.current[k] and self._ask_for_slopes(k, whole=True):
-            return
-        most = self._tolerance(k)
-        if not self.undamped[k] and self.current[k] and self._promised(k, NO_DAMPING) > most:
-            self.undamped[k], self.share[k] = True, 1.0
-            return
-        self.done[k] = True
-        self.converged[k] = (
-            not self.undamped[k] or self.share[k] > LEAST_SHARE or self._promised(k, NO_DAMPING) <= most
-        )
+        """End a trial whose steps no longer lower the cost, or renew its slopes before."""
+        if not self.exact or self.current[k] or not self._ask_for_slopes(k, whole=True):
+            self.done[k] = self.converged[k] = True
 
     def _propose(self, k: int, points: tuple[np.ndarray, Tensor, Tensor]) -> None:
         try:
-            straight, initial, nuisance, gain = (
-                self._shortened(k, *self._step(k, NO_DAMPING)) if self.undamped[k] else self._step(k)
-            )
+            theta, initial, nuisance, gain = self._step(k)
         except DivergedError:
             self.done[k] = True
             return
         if self.curved[k]:
-            straight, initial, nuisance = self._bent(k, straight, initial, nuisance)
-        points[0][k], points[1][k], points[2][k] = (
-            self.problem.along(self.theta[k], straight), initial, nuisance
-        )  # fmt: skip
+            theta, initial, nuisance = self._bent(k, theta, initial, nuisance)
+        points[0][k], points[1][k], points[2][k] = theta, initial, nuisance
         self.predicted[k] = gain
         if gain < 0.25 * self._tolerance(k):
             self._settle(k)
-
-    def _shortened(
-        self, k: int, theta: np.ndarray, initial: Tensor, nuisance: Tensor, gain: float
-    ) -> tuple[np.ndarray, Tensor, Tensor, float]:
-        """Return the share of an undamped step that is to be tried, and the fall that it promises."""
-        share = float(self.share[k])
-        return (
-            self.theta[k] + share * (theta - self.theta[k]),
-            self.initial[k] + share * (initial - self.initial[k]),
-            self.nuisance[k] + share * (nuisance - self.nuisance[k]),
-            share * (2.0 - share) * gain,
-        )
 
     def _bent(
         self, k: int, theta: np.ndarray, initial: Tensor, nuisance: Tensor
@@ -257,17 +216,16 @@ class LazyBatch(Batch):
         assert slopes is not None
         assert normal is not None
         way = theta - self.theta[k], initial - self.initial[k], nuisance - self.nuisance[k]
-        sides = np.array([PROBE, 2.0 * PROBE])  # before the point, a bound may be in the way
-        inside = np.stack([problem.along(self.theta[k], self.theta[k] + side * way[0]) for side in sides])
+        sides = np.array([-PROBE, PROBE])
+        inside = np.clip(self.theta[k] + sides[:, None] * way[0], problem.low, problem.high)
         shown = problem.predict(
             inside,
             self.initial[k] + torch.from_numpy(sides)[:, None, None] * way[1],
             self.nuisance[k] + torch.from_numpy(sides)[:, None] * way[2],
         )
-        # Predictions along the step, in standard deviations: their second difference is that of the residuals.
-        here = problem.windows.value * problem.weight - normal.residual
-        near, far = shown * problem.weight
-        second = (far - 2.0 * near + here).flatten(1) / PROBE**2
+        # Predictions around the point, in standard deviations: their second difference is that of the residuals.
+        here = (problem.windows.value * problem.weight - normal.residual) * 2.0
+        second = ((shown * problem.weight).sum(0) - here).flatten(1) / PROBE**2
         if not bool(torch.isfinite(second).all()):
             return theta, initial, nuisance
         p, free = len(columns), self.trials[k].free
@@ -282,7 +240,7 @@ class LazyBatch(Batch):
             gs=-0.5 * torch.einsum("wms,wm->ws", slopes.states, second),
         )
         try:
-            move, states, _ = pull.solve(self.damping[k], np.eye(p), np.zeros(p))
+            move, states, _ = pull.solve(self.damping[k], np.zeros(p, dtype=bool), np.zeros(p))
         except DivergedError:  # beside the point the simulation runs away: the straight step stands
             return theta, initial, nuisance
         spread = np.concatenate([problem.scale[columns], problem.nuisances.spread])
@@ -323,9 +281,7 @@ class LazyBatch(Batch):
             else:
                 moved = self._that_matter(k) if renewing else list(self.renewed[k])
             columns = np.array([problem.names.index(n) for n in moved], dtype=int)
-            size = difference_size(problem, theta[k], columns, initial[k], nuisance[k]) if renewing else None
-            size = problem.difference if size is None else size
-            tangents.append(Tangent.at(problem, theta[k], columns, initial[k], renewing, size))
+            tangents.append(Tangent.at(problem, theta[k], columns, initial[k], states=renewing))
             names.append(moved)
         result: list[NormalEquations] = []
         at = 0

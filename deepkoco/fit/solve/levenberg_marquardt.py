@@ -25,7 +25,6 @@ from deepkoco.fit.solve.covariance import covariance_of
 from deepkoco.fit.solve.normal_equations import NormalEquations
 from deepkoco.fit.solve.scaled_inverse import DivergedError, scaled_inverse
 from deepkoco.fit.solve.state_search import lower_states
-from deepkoco.fit.solve.step_limits import StepLimits
 from deepkoco.fit.tangent import Tangent, batches, simulated
 
 TOLERANCE = 0.02  # a fit has converged when a step lowers its cost by less
@@ -95,8 +94,7 @@ class Batch:
                     except DivergedError:
                         self.done[k] = True
                         continue
-                    straight, trial_initial[k], trial_nuisance[k], gain = step
-                    trial_theta[k] = self.problem.along(self.theta[k], straight)
+                    trial_theta[k], trial_initial[k], trial_nuisance[k], gain = step
                     self.predicted[k] = gain
                     if gain < 0.25 * self._tolerance(int(k)):
                         self.done[k] = self.converged[k] = True
@@ -219,7 +217,7 @@ class Batch:
         return NormalEquations.build(residual, slopes[:p], states, own, prior, offset, nuisance, precision)
 
     def _step(self, k: int, damping: float | None = None) -> tuple[np.ndarray, Tensor, Tensor, float]:
-        """Return the point of the next step of a trial on a straight line, and the fall of the cost that it promises.
+        """Return the point of the next step of a trial, and the fall of the cost that it promises.
 
         Args:
             k: The trial.
@@ -231,36 +229,28 @@ class Batch:
         problem, normal = self.problem, self.normal[k]
         damping = float(self.damping[k]) if damping is None else damping
         assert normal is not None
-        columns, p = self.columns[k], len(self.columns[k])
+        columns = self.columns[k]
+        p = len(columns)
         at = self.theta[k, columns]
-        limits = self._limits(k)
+        low, high = problem.low[columns] - at, problem.high[columns] - at
+        held = np.zeros(p, dtype=bool)
+        limit = np.zeros(p)
         while True:
-            move, states, gain = normal.solve(damping, *limits.ways())
-            if not limits.meets(move[:p]):
+            move, states, gain = normal.solve(damping, held, limit)
+            # Parameters that leave their bounds are set to them, and the step of the others is solved again.
+            outside = ((move[:p] < low) | (move[:p] > high)) & ~held
+            if not outside.any():
                 break
+            held |= outside
+            limit = np.where(outside, np.clip(move[:p], low, high), limit)
         theta = self.theta[k].copy()
         theta[columns] = np.clip(at + move[:p], problem.low[columns], problem.high[columns])
         return theta, self.initial[k] + states, self.nuisance[k] + torch.from_numpy(move[p:]), gain
 
-    def _limits(self, k: int) -> StepLimits:
-        """Limits of the next step of a trial; a sum that is below zero already may stay there."""
-        problem, columns = self.problem, self.columns[k]
-        at, every = self.theta[k, columns], problem.never_negative
-        sums = every[:, columns]
-        own = np.abs(sums).max(1, initial=0.0) > 0.0
-        room = np.minimum(-(every @ self.theta[k]), 0.0)
-        return StepLimits(
-            problem.low[columns] - at,
-            problem.high[columns] - at,
-            sums[own],
-            room[own],
-            (np.abs(every) @ np.abs(self.theta[k]))[own],
-        )
-
-    def _promised(self, k: int, damping: float = LEAST_DAMPING) -> float:
+    def _promised(self, k: int) -> float:
         """Return the fall of the cost that a step without damping promises at the best point of a trial."""
         try:
-            return self._step(k, damping)[-1]
+            return self._step(k, LEAST_DAMPING)[-1]
         except DivergedError:
             return math.inf
 

@@ -106,13 +106,13 @@ class NormalEquations:
         matrix = matrix - torch.einsum("wis,wjs->ij", through, self.hps)
         return matrix, self.gp - torch.einsum("wis,ws->i", through, self.gs), inverse
 
-    def solve(self, damping: float, ways: np.ndarray, offset: np.ndarray) -> tuple[np.ndarray, Tensor, float]:
-        """Compute the damped step and its predicted decrease of the cost; parameters move in some directions only.
+    def solve(self, damping: float, held: np.ndarray, limit: np.ndarray) -> tuple[np.ndarray, Tensor, float]:
+        """Compute the damped step and its predicted decrease of the cost; some parameters have a given step.
 
         Args:
             damping: Relative addition to the diagonals.
-            ways: (p, f) directions in which parameters move; the unit matrix lets each move by itself.
-            offset: (p,) part of the step that is given.
+            held: (p,) True for parameters whose step is given by ``limit``.
+            limit: (p,) given steps.
 
         Returns:
             Moves of parameters and nuisances (q,), of states (W, S), predicted decrease of the cost.
@@ -121,22 +121,21 @@ class NormalEquations:
             DivergedError: The reduced equations overflow.
         """
         matrix, right, inverse = self.reduced(damping)
-        p, q = len(ways), len(right)
+        free = torch.ones(len(right), dtype=torch.bool)
+        free[: len(held)] = torch.from_numpy(~held)
         move = torch.zeros_like(right)
-        move[:p] = torch.from_numpy(offset)
-        free = np.zeros((q, ways.shape[1] + q - p))
-        free[:p, : ways.shape[1]], free[p:, ways.shape[1] :] = ways, np.eye(q - p)
-        if free.shape[1]:
-            if not (torch.isfinite(matrix).all() and torch.isfinite(right).all()):
+        move[: len(held)] = torch.from_numpy(np.where(held, limit, 0.0))
+        if free.any():
+            scale = torch.sqrt(torch.diagonal(matrix)[free].clamp_min(1e-30))
+            scaled = matrix[free][:, free] / scale[:, None] / scale
+            wanted = (right - matrix @ move)[free] / scale
+            if not (torch.isfinite(scaled).all() and torch.isfinite(wanted).all()):
                 raise DivergedError(
                     "the reduced normal equations are not finite: the residuals of a simulation are too large"
                 )
-            own = free.T @ matrix.numpy() @ free
-            scale = np.sqrt(np.maximum(own.diagonal(), 1e-30))
-            wanted = free.T @ (right - matrix @ move).numpy() / scale
             # On a singular matrix, only NumPy's solver gives the same bits every time; torch's (gelsy) does not.
-            solution = np.linalg.lstsq(own / scale[:, None] / scale, wanted, rcond=None)[0]
-            move += torch.from_numpy(free @ (solution / scale))
+            solution = np.linalg.lstsq(scaled.numpy(), wanted.numpy(), rcond=None)[0]
+            move[free] = torch.from_numpy(solution) / scale
         states = torch.einsum("wst,wt->ws", inverse, self.gs - torch.einsum("wis,i->ws", self.hps, move))
         curvature = float(move @ self.hpp @ move + torch.einsum("ws,wst,wt->", states, self.hss, states))
         curvature += 2.0 * float(torch.einsum("i,wis,ws->", move, self.hps, states))

@@ -55,7 +55,6 @@ LARGEST_ROTOR = 20.0  # bound of such a rotor, likewise
 # Least prior standard deviation of the rate [1/s] at which damping makes a motion fade, in a model without drives. Such
 # files state values as 0.003 N m s/rad for numerical reasons, where gears have a thousand times as much.
 FADING = 10.0
-NEARLY = 1e-3  # share of the sum of a body's moments, by which a simulation lets a second moment be negative
 THICKNESS = 0.01  # of a body whose other moments make it flat, as a share of the smaller of two moments
 COM_REACH = 5.0  # bounds of a centre of mass [radii of gyration]
 
@@ -144,34 +143,24 @@ def body_inertia(body: Body, parameters: Parameters) -> Inertia:
     names = [f"inertia_{a}({body.name})" for a in AXES]
     moments: Sequence[Scalar] = [_value(parameters, n, m) for n, m in zip(names, body.moments, strict=True)]
     if all(n in parameters for n in names):
-        # A moment that no motion shows may be whatever the others need.
-        moments = physical_moments(moments, NEARLY)
+        moments = physical_moments(moments)  # a moment that no motion shows may be whatever the others need
     axes = _product(body.frame.rotation, body.axes)
     central = rotated(axes, (*moments, *products_of_inertia(body, parameters)))
     centre = plus(body.frame.offset, outward(body.frame.rotation, com))
     return shifted(Inertia(mass, ZERO, central), centre)  # pyright: ignore[reportArgumentType]
 
 
-def physical_moments(moments: Sequence[Scalar], nearly: float = 0.0) -> tuple[Scalar, Scalar, Scalar]:
+def physical_moments(moments: Sequence[Scalar]) -> tuple[Scalar, Scalar, Scalar]:
     """Principal moments of the physical body next to three numbers.
 
     A moment is the sum of the two second moments of mass across its axis, and these are not negative. Numbers that obey
     this are returned as they are; else the negative second moment acts as 0.
-
-    Args:
-        moments: The three numbers [kg m2].
-        nearly: Share of their sum by which a second moment may be negative. A fit keeps it positive, and needs slopes
-            on both sides of 0: many a rod or plate has it there.
     """
     x, y, z = moments
-    least = mul(-nearly, add(add(x, y), z))
     across = []
     for a, b, c in ((y, z, x), (x, z, y), (x, y, z)):
         own = add(add(mul(0.5, a), mul(0.5, b)), mul(-0.5, c))
-        if isinstance(own, Tensor):
-            across.append(torch.maximum(own, torch.as_tensor(least, dtype=own.dtype)))
-        else:
-            across.append(max(own, float(least)))
+        across.append(own.clamp(min=0.0) if isinstance(own, Tensor) else max(own, 0.0))
     return add(across[1], across[2]), add(across[0], across[2]), add(across[0], across[1])
 
 

@@ -41,7 +41,6 @@ from deepkoco.systems.trees.equations import Numbers, Steadying, actuators_of_jo
 from deepkoco.systems.trees.fast import TreeArrays
 from deepkoco.systems.trees.geometry import geometry_parameters
 from deepkoco.systems.trees.held_joints import how_to_hold
-from deepkoco.systems.trees.inertial_lines import InertialLines, second_moments
 from deepkoco.systems.trees.loads import actuator_forces, clipped
 from deepkoco.systems.trees.model_file import read_model
 from deepkoco.systems.trees.outside_forces import force_name
@@ -124,12 +123,7 @@ class TreeSystem(System):
         self._arrays = TreeArrays(tree)
         declared = visible_parameters(self, tree, declared_parameters(tree, least))
         self.parameters = settings.parameters(declared, geometry_parameters(tree))
-        named = [p.name for p in self.parameters]
-        self._grows_with_mass, self._second_moments = (
-            grows_with_mass(tree, named),
-            second_moments(tree, named),
-        )
-        self._lines: dict[tuple[str, ...], InertialLines] = {}
+        self._grows_with_mass = grows_with_mass(tree, [p.name for p in self.parameters])
 
     @classmethod
     def from_file(cls, path: str | Path) -> TreeSystem:
@@ -156,13 +150,6 @@ class TreeSystem(System):
 
     commands = property(lambda self: self._commands)
     bodies = property(lambda self: self._grows_with_mass)
-    never_negative = property(lambda self: self._second_moments)
-
-    def along(self, names: Sequence[str], at: np.ndarray, straight: np.ndarray) -> np.ndarray:
-        key = tuple(names)
-        if key not in self._lines:
-            self._lines[key] = InertialLines(self.tree, key)
-        return self._lines[key].end(at, straight)
 
     def way_to_hold(self, channels: Collection[str]) -> str:
         unseen = self.unseen_joints(channels)
