@@ -16,9 +16,7 @@ from deepkoco.systems import Parameter
 # load for dry friction. A healthy machine has this share of it, so its friction is known to 0.05 % of that load.
 SHARE_OF_USUAL = 2.5e-3
 LOAD_SHARE = 5e-4  # of a joint's typical load
-MOVING_SHARE = (
-    5e-3  # of that load, which a friction that grows with the speed may add at the joint's usual speed
-)
+MOVING_SHARE = 5e-3  # of that load, which a friction that grows with the speed may add at the joint's speed
 PUSH_LASTS = 1.0  # a load of that share may act for so long [s]; a shorter one may be stronger
 CLOCK_RATE = 5e-5  # crystal clocks differ by 20 to 50 parts per million
 LEAD_SHARE = (

@@ -55,7 +55,7 @@ def tolerated(problem: FitProblem, start: Baseline, cause: Cause, fit: Fit, defl
         return False
     loads = start.system.load_scales
     load = max(loads) if cause.joint is None else loads[cause.joint]
-    period = sample_period(problem.windows)
+    period, speed = sample_period(problem.windows), usual_speed(start, cause, fit.state)
     nulls = {n: v for n, v in zip(problem.names, problem.null_values(), strict=False) if not np.isnan(v)}
     for parameter in declared(problem, cause.sizes):
         i = fit.free.index(parameter.name)
@@ -64,27 +64,22 @@ def tolerated(problem: FitProblem, start: Baseline, cause: Cause, fit: Fit, defl
         span = nulls.get(parameter.name, learned) - learned
         least, greatest = learned + min(BEYOND * span, 0.0), learned + max(BEYOND * span, 0.0)
         away = max(least - (value - reach), value + reach - greatest)
-        most = cause.tolerance(
-            Healthy(parameter, load, period, dict(fit.values), usual_speed(start, cause, fit.state))
-        )
+        most = cause.tolerance(Healthy(parameter, load, period, dict(fit.values), speed))
         if not away <= (most if is_changed(cause) else start.roughness * most):
             return False
     return True
 
 
 def usual_speed(start: Baseline, cause: Cause, state: Tensor) -> float:
-    """Return the root mean square of the speed of a cause's joint in initial states (W, S).
-
-    It is that of the fastest joint where the cause has none.
+    """Return the root mean square of the speed of a cause's joint [rad/s or m/s]; of the fastest joint if it has none.
 
     Args:
         start: The baseline.
         cause: The cause.
-        state: Initial states of the windows.
+        state: (W, S) initial states of the windows.
     """
-    own = state[:, start.system.joints : 2 * start.system.joints]
-    fastest = own.square().mean(0).sqrt()
-    return float(fastest.max() if cause.joint is None else fastest[cause.joint])
+    speeds = state[:, start.system.joints : 2 * start.system.joints].square().mean(0).sqrt()
+    return float(speeds.max() if cause.joint is None else speeds[cause.joint])
 
 
 def sample_period(windows: Windows) -> float:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from deepkoco.logs.inspect.joints.finding import JointFinding
 
 ONE_SCALE = 1.2  # ratio up to which estimated scales of speeds are those of one unit
-AGREE = 0.9  # agreement of a position with its speed, from which the unit of both is right
+CONFIRMS = 0.9  # agreement of a position with its speed, from which the unit of both is right
 SURE, LIKELY = 0.9, 0.6  # probabilities from which a choice is called sure or likely
 
 
@@ -128,7 +128,7 @@ def mapping_of(survey: Survey, proposal: Proposal) -> dict[str, ChannelColumn]:
         label
         for (label, rate), relation in proposal.relations.items()
         if {label, rate} <= named
-        and relation.agreement > AGREE
+        and relation.agreement > CONFIRMS
         and 1.0 / ONE_SCALE < relation.ratio < ONE_SCALE
     }
     for choice in proposal.choices:

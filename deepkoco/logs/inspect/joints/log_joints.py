@@ -13,7 +13,8 @@ from deepkoco.logs.units import parse_unit
 
 GOAL = {*COMMANDED, *WANTED, "commands", "goals", "actions", "targets", "trajectory", "controls"}
 MEASURED = {"meas", "measured", "actual", "feedback", "observation", "state", "states"}
-POSITION = {*said_by("angle"), "angles", "height", "altitude", "travel", "stroke", "displacement"}
+# A short word for a length is as often a name: x, y and z of an axis, the hub of a wheel.
+POSITION = {*said_by("angle"), "angles", *(word for word in said_by("length") if len(word) > 3)}
 SPEED = said_by("angular velocity")
 EFFORT = {*said_by("torque"), *said_by("current"), "load", "torques", "currents"}
 LOADS = ("torque", "force")
