@@ -10,12 +10,14 @@ import numpy as np
 import torch
 
 from deepkoco.diagnose.baseline import Baseline
-from deepkoco.diagnose.causes import Cause
+from deepkoco.diagnose.causes import Cause, kind_of
 from deepkoco.diagnose.evidence.event_windows import refit_elsewhere
+from deepkoco.diagnose.evidence.flexible import PUSHES
 from deepkoco.diagnose.refitted import Refitted
 from deepkoco.fit.data.halves import halved
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem, Trial
+from deepkoco.fit.simulate.push import QUIET
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.logs.part import seconds
 from deepkoco.systems import ExtendedSystem
@@ -105,12 +107,11 @@ def gain_of_fits(
     Returns:
         The gain; None where one of the simulations diverges.
     """
-    quiet = {"event.torque": 0.0}  # a push does not repeat
     models = {
         "baseline": start.values,
-        "refit": {**refit.values, **quiet},
-        "extended": {**extended.values, **quiet},
-    }
+        "refit": {**refit.values, **QUIET},
+        "extended": {**extended.values, **QUIET},
+    }  # a push does not repeat
     windows = {
         "baseline": replace(held, varies={}),
         "refit": problem.elsewhere(held, refit),
@@ -241,7 +242,7 @@ def note_on_gain(
         note += " The lost commands in them are not known, so all sent commands act in the simulation."
         if len(named) == 1:
             return f"{note} Knowing that commands are lost therefore gains nothing here."
-    if named and all(name.startswith("event") for name in named):
+    if named and all(kind_of(name) in PUSHES for name in named):
         return f"{note} The push acts in none of them. It is left out, so there is no gain."
     if named:
         note += (
@@ -250,7 +251,7 @@ def note_on_gain(
         )
     if learned:
         note += " They also decided that the learned load is kept, so the gain is slightly optimistic."
-    if any(name.startswith("event") for name in named):
+    if any(kind_of(name) in PUSHES for name in named):
         note += " The push acts in none of them and is left out."
     return note
 

@@ -123,7 +123,7 @@ class ShootingProblem:
             for j, n in enumerate(self.names[:own])
             if "." not in n or n.split(".")[0] in lanes
         }
-        push = push_torque(self.windows, theta[:, -len(Push.NAMES) :], self.system.joints)
+        push = push_torque(self.windows, theta[:, -len(Push.NAMES) :], self.system)
         delays = {c: torch.from_numpy(theta[:, own + k]) for k, c in enumerate(self.late)}
         # An effect that acts in all lanes needs no slice.
         some = {effect: part for effect, part in lanes.items() if part.stop - part.start < len(theta)}

@@ -8,6 +8,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from deepkoco.systems.parameter import Parameter
+
 Acceleration = Callable[["Motion"], tuple[Tensor, ...]]
 Delivery = Callable[["Motion"], tuple[Tensor, ...]]
 InverseInertia = Callable[["Motion"], tuple[tuple[Tensor, ...], ...]]
@@ -55,6 +57,22 @@ class CommandTiming(NamedTuple):
     delay: Tensor  # sensing delay included: along a log the two act alike [s]
     lag: tuple[Tensor, ...]  # time constants of first-order lags in series [s]
     skew: Tensor  # seconds that the measurements' clock gains per second
+
+
+class PushPlace(NamedTuple):
+    """A body on which a push from outside loads several joints.
+
+    Attributes:
+        body: Its name.
+        joint: The joint that moves it.
+        parameters: Components ``x``, ``y``, ``z`` of the force in the frame of the world that load a joint [N], and
+            ``along``, the distance of the point from the body's centre of mass along its link [m], where a motion
+            shows it.
+    """
+
+    body: str
+    joint: int
+    parameters: tuple[Parameter, ...]
 
 
 class PayloadWay(NamedTuple):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from functools import cached_property
 from typing import Self
 
@@ -19,7 +19,7 @@ from deepkoco.systems.drives import Drive, drives_of
 from deepkoco.systems.dry_friction import DryFriction, Levels
 from deepkoco.systems.engine_names import MUJOCO, SEMI_IMPLICIT
 from deepkoco.systems.joint_memory import JointMemory
-from deepkoco.systems.motion import Acceleration, InverseInertia, Motion, PayloadWay
+from deepkoco.systems.motion import Acceleration, InverseInertia, Motion, PayloadWay, PushPlace
 from deepkoco.systems.named_joints import NamedJoints
 from deepkoco.systems.parameter import Parameter, ParameterError, Parameters
 from deepkoco.systems.rollout import RolledEffect, Rollout
@@ -51,6 +51,7 @@ class System(SignalPath, NamedJoints, Drawn, metaclass=Declared):
             ``payload(PLACE)``.
         tip: The one of them that `with_payload` means; None if it is another place.
         force_sites: Places at which an outside force can act; each is a cause of its own, ``force(PLACE)``.
+        push_places: Bodies on which a push loads several joints; each is a cause of its own, ``body_push(BODY)``.
         origin: Text by which `load_system` finds it again, such as ``/home/me/my_robot.py:CartPole``; None for a system
             of the package.
         notes: Sentences on what its file has and the system leaves out or changes.
@@ -61,6 +62,7 @@ class System(SignalPath, NamedJoints, Drawn, metaclass=Declared):
     payload_sites: tuple[str, ...] = ()
     tip: str | None = None
     force_sites: tuple[str, ...] = ()
+    push_places: tuple[PushPlace, ...] = ()
     origin: str | None = None
     notes: tuple[str, ...] = ()
     wraps = False
@@ -161,6 +163,19 @@ class System(SignalPath, NamedJoints, Drawn, metaclass=Declared):
             ParameterError: There is no such place.
         """
         raise ParameterError(f'{self.name} has no place "{site}" for a force; define its force_sites')
+
+    def loads_of_push(self, place: int, along: Tensor, angles: Sequence[Tensor]) -> Tensor:
+        """Loads (3, J, ...) of pushes of 1 N along the axes of the world at one of `push_places` [N m or N per N].
+
+        Args:
+            place: Its number.
+            along: (...) distance of the point from the body's centre of mass along its link [m].
+            angles: J coordinates (...) [rad or m]; they broadcast against ``along``.
+
+        Raises:
+            ParameterError: There is no such place.
+        """
+        raise ParameterError(f"{self.name} has no place {place} for a push; define its push_places")
 
     def accelerations(self, parameters: Parameters) -> Acceleration:
         """The equations of motion with everything that only parameters decide computed once.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from copy import copy
 from typing import Self
 
@@ -37,7 +37,7 @@ class WrappedSystem(System):
         self.state_names, self.state_units = base.state_names, base.state_units
         self.dry_friction = base.dry_friction
         self.payload_sites, self.tip = base.payload_sites, base.tip
-        self.force_sites = base.force_sites
+        self.force_sites, self.push_places = base.force_sites, base.push_places
 
     def unseen_joints(self, channels: Collection[str]) -> list[str]:
         return self.base.unseen_joints(channels)
@@ -154,6 +154,9 @@ class WrappedSystem(System):
 
     def with_force_at(self, site: str, force: Parameters, parameters: Parameters) -> Parameters:
         return self.base.with_force_at(site, force, parameters)
+
+    def loads_of_push(self, place: int, along: Tensor, angles: Sequence[Tensor]) -> Tensor:
+        return self.base.loads_of_push(place, along, angles)
 
     def with_length(self, factor: Tensor, joint: int, parameters: Parameters) -> Parameters:
         return self.base.with_length(factor, joint, parameters)

@@ -23,7 +23,7 @@ from deepkoco.diagnose.causes.cause import Cause, Hint, Motion, kind_of
 from deepkoco.diagnose.causes.choose import UnknownCauseError, causes_named, measured_channels, shown_causes
 from deepkoco.diagnose.causes.disturbance import COGGING, CONSTANT_LOAD, PERIODIC, SPRING
 from deepkoco.diagnose.causes.drive import ELASTIC
-from deepkoco.diagnose.causes.event import EVENT
+from deepkoco.diagnose.causes.event import BODY_PUSH, EVENT
 from deepkoco.diagnose.causes.friction import (
     BRISTLE,
     COULOMB,
@@ -111,6 +111,7 @@ CAUSES: dict[str, Cause] = {
         NOISE_LEVEL,
         QUANTISATION,
         EVENT,
+        BODY_PUSH,
         UNIT_SLIP,
         CHANNEL_SLIP,
         CHANGED,
@@ -179,6 +180,8 @@ def catalogue(system: System, regrouping: bool = False) -> dict[str, Cause]:
             placed = changed_causes(system)
         elif kind in EFFECTS:
             placed = [cause.at(p, system) for p in place(EFFECTS[kind], system)]
+        elif cause is BODY_PUSH:
+            placed = [cause.on_body(k, place) for k, place in enumerate(system.push_places)]
         else:
             placed = [cause.on_joint(j, system) for j in system.loaded_joints]
         result |= {c.name: c for c in placed}

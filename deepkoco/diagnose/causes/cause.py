@@ -12,6 +12,7 @@ from deepkoco.diagnose.causes.tolerance import Tolerance, share_of_usual
 from deepkoco.systems import Parameter, System
 from deepkoco.systems.effects import PlacedEffect
 from deepkoco.systems.effects.effect import ALL
+from deepkoco.systems.motion import PushPlace
 
 if TYPE_CHECKING:
     from deepkoco.diagnose.residuals.residuals import MissingTorque
@@ -35,7 +36,7 @@ class Hint(NamedTuple):
     joint: int
     command: np.ndarray  # (n,) command values of the logs
     omega: np.ndarray  # first guess of speeds, per second
-    pushes: tuple[Mapping[str, float], ...]  # slots in which an outside load lowers chi2 most
+    pushes: tuple[Mapping[str, float], ...]  # when and where an outside load lowers chi2 most
     seconds: float  # length of the logs [s]
     chi2: float  # chi2 per sample of the refitted baseline
     missing: MissingTorque | None  # missing load of the refitted baseline at this joint
@@ -159,6 +160,12 @@ class Cause:
     def on_joint(self, joint: int, system: System) -> Cause:
         """A cause without an effect (a push) on one joint."""
         return self._called(system.at_joint(self.name, joint), self.name, joint, joint)
+
+    def on_body(self, index: int, place: PushPlace) -> Cause:
+        """A push of a body: one of the places of a system, and its number among them."""
+        shown = {p.name for p in place.parameters} | {"start", "duration"}
+        cause = replace(self, free=tuple(n for n in self.free if n in shown))
+        return cause._called(f"{self.name}({place.body})", "event", place.joint, index)
 
     def _called(self, name: str, effect: str, joint: int | None, index: int) -> Cause:
         chosen = self.starts

@@ -1,4 +1,4 @@
-"""Push (event): a load from outside acts on the joint for a short time."""
+"""Push: for a short time, a load from outside acts on a joint (event), or a force at a body."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from deepkoco.diagnose.causes.cause import Cause, Hint
-from deepkoco.diagnose.causes.tolerance import of_impulse
-from deepkoco.fit.simulate.push import LONGEST, SHORTEST
+from deepkoco.diagnose.causes.tolerance import of_force_impulse, of_impulse
+from deepkoco.fit.simulate.push import LONGEST, SHORTEST, Push
 
 STRETCHES = (0.4, 0.6, 0.8, 0.9, 1.1, 1.25, 1.6, 2.5)
 
@@ -19,14 +19,14 @@ def _starts(hint: Hint) -> list[dict[str, float]]:
 
 def _stretched(values: Mapping[str, float]) -> list[dict[str, float]]:
     """Return pushes of the same impulse around the same time, shorter or longer; they fit almost equally well."""
-    torque, start, duration = (values[f"event.{n}"] for n in ("torque", "start", "duration"))
+    start, duration = values["event.start"], values["event.duration"]
+    sizes = {n: values[n] for n in Push.SIZES if values.get(n, 0.0)}
     found = []
     for factor in STRETCHES:
         lasts = min(max(factor * duration, SHORTEST), LONGEST)
         begins = start + 0.5 * (duration - lasts)
-        found.append(
-            {"event.torque": torque * duration / lasts, "event.start": begins, "event.duration": lasts}
-        )
+        same = {name: size * duration / lasts for name, size in sizes.items()}
+        found.append({**same, "event.start": begins, "event.duration": lasts})
     return found
 
 
@@ -43,4 +43,19 @@ EVENT = Cause(
     valley=_stretched,
     shape=("start", "duration"),
     tolerance=of_impulse,
+)
+
+BODY_PUSH = Cause(
+    "body_push",
+    "event",
+    ("x", "y", "z", "along", "start", "duration"),
+    "Something outside pushed or pulled a body for a short time, which loads all joints between it and the base.",
+    "Look at the video or the lab book at that time. Repeat the log and check whether the push occurs again.",
+    "time",
+    lambda motion: np.zeros_like(motion.time),
+    _starts,
+    searched=True,
+    valley=_stretched,
+    shape=("along", "start", "duration"),
+    tolerance=of_force_impulse,
 )

@@ -108,6 +108,11 @@ def of_stamps(healthy: Healthy) -> float:
     return LEAD_SHARE * healthy.period
 
 
+def of_force_impulse(healthy: Healthy) -> float:
+    """Return the force whose impulse is that of a share of the typical load for one second."""
+    return LOAD_SHARE * healthy.parameter.prior_sd * max(PUSH_LASTS / healthy.values["event.duration"], 1.0)
+
+
 def of_impulse(healthy: Healthy) -> float:
     """Return the load whose impulse is that of a share of the typical load for one second."""
     lasts = healthy.values["event.duration"]

@@ -17,6 +17,7 @@ from deepkoco.diagnose.evidence.selection import CLOSE, ITERATIONS
 from deepkoco.diagnose.residuals.residuals import SLOTS, dispersion
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem, Trial
+from deepkoco.fit.simulate.push import QUIET
 
 # Causes -> fit with all of them but one, by their names and its name.
 Removals = dict[tuple[tuple[str, ...], str], Fit]
@@ -144,7 +145,7 @@ def held_out_chi2(problem: FitProblem, start: Baseline, fit: Fit, held: Windows)
         held: Held-out windows.
     """
     unseen = FitProblem(start.system, problem.elsewhere(held, fit))
-    replayed = unseen.evaluate({**fit.values, "event.torque": 0.0}, "held back")
+    replayed = unseen.evaluate({**fit.values, **QUIET}, "held back")
     return (replayed.residual**2).sum((1, 2)).numpy()
 
 
@@ -227,7 +228,7 @@ def without(problem: FitProblem, start: Baseline, kept: Sequence[Cause], cause: 
     others = [c for c in kept if c is not cause]
     values = dict(fit.values)
     if cause.effect == "event":
-        values["event.torque"] = start.values["event.torque"]
+        values |= QUIET
     else:
         own = {n for n in start.values if n.startswith(f"{cause.effect}.")}
         values |= {n: start.values[n] for n in own.union(cause.free)}

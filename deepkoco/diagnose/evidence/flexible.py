@@ -3,5 +3,5 @@
 from __future__ import annotations
 
 BENDING = ("cogging", "periodic")  # lasting causes
-PUSHES = ("event",)
+PUSHES = ("event", "body_push")
 FLEXIBLE_CAUSES = (*PUSHES, *BENDING)

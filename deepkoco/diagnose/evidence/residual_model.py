@@ -25,6 +25,7 @@ from deepkoco.diagnose.gain import Gain, held_out_gain
 from deepkoco.diagnose.residuals.residuals import MissingTorque
 from deepkoco.fit.data.windows import STANDSTILL, Windows
 from deepkoco.fit.fit import Fit, FitProblem
+from deepkoco.fit.simulate.push import QUIET
 from deepkoco.fit.solve.dispersion import dispersion
 from deepkoco.systems.effects import EFFECTS, place
 from deepkoco.systems.effects.learned import SCALES, is_spring
@@ -134,11 +135,10 @@ def learn_residual(
     if held is None or len(held) == 0:
         text = "there are no held-out windows to test it"
         return ResidualModel(False, text, terms, fit, None, validation, before, after)
-    quiet = {"event.torque": 0.0}
     models = {
         "baseline": start.values,
-        "refit": {**reference.values, **quiet},
-        "extended": {**fit.values, **quiet},
+        "refit": {**reference.values, **QUIET},
+        "extended": {**fit.values, **QUIET},
     }
     windows = {
         "baseline": replace(held, varies={}),

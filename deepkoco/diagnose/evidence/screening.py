@@ -161,7 +161,7 @@ def _doses(
     """Return parameter values; each moves the measurements in one of the directions of the cause."""
     at = {**reference.values, **place}
     null = reference.values
-    shifted = any(at[n] != null[n] for n in place if n not in Push.NAMES[1:])
+    shifted = any(at[n] != null[n] for n in place if n not in Push.NAMES or n in Push.SIZES)
     silent = shifted and not _linear(cause, place)
     result = [at] if silent else []
     if cause.effect == "event":

@@ -42,6 +42,7 @@ from deepkoco.diagnose.progress import in_company_of
 from deepkoco.diagnose.residuals.residuals import SLOTS, dispersion
 from deepkoco.diagnose.time_limit import TimeLimit
 from deepkoco.fit.fit import Fit, FitProblem, Trial
+from deepkoco.fit.simulate.push import Push
 from deepkoco.fit.solve.lazy_batch import MANY
 from deepkoco.fit.solve.prior import Prior
 
@@ -87,6 +88,8 @@ def rank(
     everything = with_freed_positions(problem, reference, everything)
     names = [c.name for c in accepted]
     tried = [c for c in everything if c.name not in names and c.scatter is None and not c.traced]
+    if any(c.effect == "event" for c in accepted):
+        tried = [c for c in tried if c.effect != "event"]  # a fit has one push
     # A hundred times slower than the others.
     slow = {e.name for e in problem.system.effects if not problem.system.base.rolls(e.effect)}
     if start.tempering > 1.0:
@@ -288,7 +291,7 @@ def without_events_first(
         "rest",
         ranking.reference.free,
         prior_with(problem, start, accepted, ranking.reference.values),
-        {**winner.fit.values, "event.torque": ranking.reference.values["event.torque"]},
+        {**winner.fit.values, **{n: ranking.reference.values[n] for n in Push.SIZES}},
         winner.fit.state[pick],
         winner.fit.nuisance,
     )

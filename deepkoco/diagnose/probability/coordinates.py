@@ -200,7 +200,7 @@ def _slope(
 
 def is_shape(name: str) -> bool:
     """Return whether a parameter only says where or how a size acts (a frequency, a time): it has no null value."""
-    return name in Push.NAMES[1:] or name.rsplit(".", 1)[-1] in SHAPES
+    return (name in Push.NAMES and name not in Push.SIZES) or name.rsplit(".", 1)[-1] in SHAPES
 
 
 def tolerances(catalogue: Catalogue, loose: bool) -> tuple[np.ndarray, np.ndarray]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -11,6 +12,7 @@ from torch import Tensor
 
 from deepkoco.diagnose.residuals.waves import Waves
 from deepkoco.fit.data.per_log_differences import effects_in
+from deepkoco.fit.data.positions import positions_at
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.fit.simulate.push import Push, push_torque
@@ -96,6 +98,20 @@ def mean_square_variance(samples: float, correlation: float) -> float:
     return (correlation**2 + 1.0) / correlation / samples
 
 
+class SlotLoads(NamedTuple):
+    """What small loads on J joints, in K slots of each of W windows, explain of the residuals.
+
+    Attributes:
+        curvature: (W, J, K, J, K) of half of chi2.
+        slope: (W, J, K) of half of chi2, downwards.
+        positions: (J, W, K) measured positions in the middle of the slots [rad or m].
+    """
+
+    curvature: np.ndarray
+    slope: np.ndarray
+    positions: np.ndarray
+
+
 @dataclass(frozen=True)
 class MissingTorque:
     """The outside load on one joint that would make a model follow the measurements.
@@ -112,6 +128,7 @@ class MissingTorque:
         score: (W, K) fall of chi2 if a push acts in that slot alone.
         single: (W, K) torque of that single push [N m].
         name: Name of the joint.
+        together: What loads on all joints explain; None where no body can be pushed.
         waves: What loads that repeat along the way explain; None where it is not asked.
     """
 
@@ -126,6 +143,7 @@ class MissingTorque:
     score: np.ndarray
     single: np.ndarray
     name: str = ""
+    together: SlotLoads | None = None
     waves: Waves | None = None
 
     @property
@@ -197,6 +215,15 @@ def missing_torque(problem: FitProblem, fit: Fit, inflation: float = 1.0) -> tup
     )
     at = (edges[:-1] + edges[1:]) // 2
     path = _path(problem, base, named, fit.state)
+    together = None
+    if system.push_places:
+        count, shape = len(windows), (len(windows), joints, SLOTS)
+        which, middle = np.repeat(np.arange(count), SLOTS), np.tile((edges[:-1] + edges[1:]) / 2.0, count)
+        together = SlotLoads(
+            (response.mT @ response).numpy().reshape(*shape, joints, SLOTS),
+            match.numpy().reshape(shape),
+            positions_at(windows, system, which, windows.step * middle).numpy().reshape(joints, count, SLOTS),
+        )
     result = []
     for j in range(joints):
         mine = slice(j * SLOTS, (j + 1) * SLOTS)
@@ -212,6 +239,7 @@ def missing_torque(problem: FitProblem, fit: Fit, inflation: float = 1.0) -> tup
             (match**2 / energy.clamp_min(1e-300)).numpy()[:, mine],
             (match / energy.clamp_min(1e-300)).numpy()[:, mine],
             system.joint_names[j],
+            together,
             Waves(problem, fit, base, j, path[:, :, j], had),
         )
         result.append(found)
@@ -250,7 +278,7 @@ def acting_system(problem: FitProblem, fit: Fit) -> ExtendedSystem:
 
 def push_of(problem: FitProblem, theta: np.ndarray) -> Tensor | None:
     """Return the load (J, 1, W, n) of the push in a parameter vector (P,); None without a push."""
-    return push_torque(problem.windows, theta[None, -len(Push.NAMES) :], problem.system.joints)
+    return push_torque(problem.windows, theta[None, -len(Push.NAMES) :], problem.system)
 
 
 def _path(problem: FitProblem, system: ExtendedSystem, named: dict[str, Tensor], state: Tensor) -> np.ndarray:

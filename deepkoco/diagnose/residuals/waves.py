@@ -71,7 +71,7 @@ class Waves(NamedTuple):
         if fit.diverged:
             return None
         theta = np.array([fit.values[n] for n in problem.names])
-        pushed = push_torque(windows, theta[None, -len(Push.NAMES) :], problem.system.joints)
+        pushed = push_torque(windows, theta[None, -len(Push.NAMES) :], problem.system)
         states, _, _ = trajectories(self.system, windows, self._named(), fit.state[None])
         return self._replace(
             problem=problem, fit=fit, path=states[:, 0, :, self.joint].numpy(), pushed=pushed

@@ -27,6 +27,7 @@ from deepkoco.diagnose.experiment_design.search import Scan, scan
 from deepkoco.diagnose.probability.answer import Answer
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import FitProblem
+from deepkoco.fit.simulate.push import QUIET
 from deepkoco.systems import ExtendedSystem, System
 from deepkoco.systems.origins import origin_of, stored_origin
 
@@ -145,9 +146,7 @@ def _advise(
     except DesignError as error:
         text = f"No command sequence can be simulated to distinguish {_listed(compared)}: {error}."
         return [*result, f"{text} {_catalogue_advice(compared)}"]
-    stage = replace(
-        stage, start=replace(start, values={**reference.values, "event.torque": 0.0}), window=windows.length
-    )
+    stage = replace(stage, start=replace(start, values={**reference.values, **QUIET}), window=windows.length)
     units = [dose.on(stage.start.values) for dose in listed]
     scans = scan(stage, listed, units, np.random.default_rng([seed, 23]), SEQUENCES_PER_FAMILY)
     share = np.max([s.separation.share for s in scans], axis=0)

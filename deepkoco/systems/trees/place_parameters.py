@@ -54,24 +54,34 @@ def payload_ways(tree: Tree) -> dict[str, PayloadWay]:
 
 def force_parameters(tree: Tree, load_scales: Sequence[float]) -> dict[str, tuple[Parameter, ...]]:
     """Moving body -> the components of an outside force at its centre of mass that load a joint."""
-    frames, found = _frames(tree), {}
-    for site in body_places(tree):
-        rotation, origin = frames[site.joint]
-        point = origin + rotation @ site.offset
-        shares, reached = np.zeros(3), np.zeros(3)
-        for k in _to_base(tree.joints, site.joint):
-            axis = frames[k][0][:, :, 2]
-            levers = np.abs(axis if tree.joints[k].slides else np.cross(axis, point - frames[k][1])).max(0)
-            reached = np.maximum(reached, levers)
-            shares = np.maximum(shares, levers / load_scales[k])
+    found = {}
+    for site, (_, levers) in zip(body_places(tree), force_levers(tree), strict=True):
         own = []
-        for axis, lever, share in zip(AXES, reached, shares, strict=True):
-            if lever > FAINT:
+        for axis, share in zip(AXES, (levers / np.array(load_scales)[:, None]).max(0), strict=True):
+            if share > 0.0:
                 most, sd = LARGEST_FORCE / float(share), FORCE_SD / float(share)
                 text = f"F_{axis}, outside force at {site.name} along the {axis} axis of the world"
                 own.append(Parameter(axis, 0.0, "N", -most, most, sd, text))
         if own:
             found[site.name] = tuple(own)
+    return found
+
+
+def force_levers(tree: Tree) -> list[tuple[int, np.ndarray]]:
+    """Of each moving body: its joint, and the largest loads (J, 3) of 1 N along the world's axes [N m or N per N].
+
+    The force is at the body's centre of mass. What is only rounding is 0.
+    """
+    frames, found = _frames(tree), []
+    for site in body_places(tree):
+        rotation, origin = frames[site.joint]
+        point = origin + rotation @ site.offset
+        levers = np.zeros((len(tree.joints), 3))
+        for k in _to_base(tree.joints, site.joint):
+            axis = frames[k][0][:, :, 2]
+            arm = axis if tree.joints[k].slides else np.cross(axis, point - frames[k][1])
+            levers[k] = np.abs(arm).max(0)
+        found.append((site.joint, np.where(levers > FAINT, levers, 0.0)))
     return found
 
 

@@ -20,10 +20,12 @@ def body_places(tree: Tree) -> tuple[Site, ...]:
     )
 
 
-def point_along(tree: Tree, site: Site, along: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """The point of a body's line at a distance (...) from the joint's axis [m], in the joint's frame."""
+def point_along(
+    tree: Tree, site: Site, along: Tensor, from_site: bool = False
+) -> tuple[Tensor, Tensor, Tensor]:
+    """The point of a body's line at a distance (...) from the joint's axis, or the site [m], in the joint's frame."""
     direction, _ = link_line(tree, site)
-    at = float(direction @ site.offset)
+    at = 0.0 if from_site else float(direction @ site.offset)
     x, y, z = (float(o) + (along - at) * float(d) for o, d in zip(site.offset, direction, strict=True))
     return x, y, z
 

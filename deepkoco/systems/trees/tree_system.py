@@ -58,6 +58,7 @@ from deepkoco.systems.trees.parameters import (
 from deepkoco.systems.trees.picture import choose_view, draw_robot, lines
 from deepkoco.systems.trees.place_parameters import force_parameters, payload_ways
 from deepkoco.systems.trees.places import tip_place
+from deepkoco.systems.trees.pushes import loads_of_push, push_places
 from deepkoco.systems.trees.rollout import TreeRollout, is_known
 from deepkoco.systems.trees.scalars import Triple, mul, total
 from deepkoco.systems.trees.scales import command_range, delivered, load_scales, motion_loads
@@ -118,6 +119,7 @@ class TreeSystem(System):
         nominal = Numbers.of(tree, {}, Steadying(least, 0.0))
         self._longest_step = longest_step(tree, nominal.passive["armature"], nominal.laws)
         self._steadying = Steadying(least, self._longest_step)
+        self.push_places = push_places(tree, self._load_scales, self._payload_ways)
         self.tip = settings.tip(self.payload_sites, tip_place(tree))
         self._view = choose_view(tree)
         self._arrays = TreeArrays(tree)
@@ -379,6 +381,9 @@ class TreeSystem(System):
             raise TreeError(f'{self.name} has no body "{site}"; it has: {", ".join(self.force_sites)}')
         added = {force_name(site, axis): value for axis, value in force.items()}
         return {**parameters, **{n: v + parameters[n] if n in parameters else v for n, v in added.items()}}
+
+    def loads_of_push(self, place: int, along: Tensor, angles: Sequence[Tensor]) -> Tensor:
+        return loads_of_push(self.tree, self.push_places[place], along, angles)
 
     def outline(self, angles: np.ndarray) -> Outline:
         return lines(self.tree, angles, self._view)
