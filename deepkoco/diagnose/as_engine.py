@@ -76,6 +76,9 @@ def as_engine_if_shown(
     left, nearest = LeftOfLogs(windows), partial(nearest_own_step, windows)
     try:
         held = left(system)
+        if len(quiet := left.undisturbed()) < len(windows):
+            left = LeftOfLogs(quiet)
+            held = left(system)
         law, leaves = closest(system, left, nearest, held=held)
     except DivergedError:
         return system

@@ -7,6 +7,8 @@ from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
+import numpy as np
+
 from deepkoco.diagnose.baseline import Baseline, baseline_from, few_windows, on_half_windows
 from deepkoco.diagnose.causes.timing import STARTS
 from deepkoco.fit.data.halves import halved
@@ -24,6 +26,8 @@ MARGIN = 10.0
 # Share that is left where something that matters is changed: a robot that its file describes badly leaves a little less
 # with any change.
 LESS = 0.5
+# Times what is left of most windows, from which something happened in one: a model error differs less between them.
+STANDS_OUT = 10.0
 NOISE = 1.2  # noise variances that a simulation leaves of its own logs
 # Iterations of further fits of many parameters. Each begins where the one before ended, and other steps change little.
 # A robot that its file describes badly would go on for long. The first of them show whether a delay matters.
@@ -57,6 +61,7 @@ class LeftOfLogs:
     def __init__(self, windows: Windows) -> None:
         self.windows = windows
         self._values: dict[str, float] = {}
+        self._each = np.zeros(len(windows))  # chi2 per sample of each window that the last refit saw
         self._parts = 1  # of a step of the machine
 
     def __call__(self, law: System) -> Left:
@@ -77,7 +82,18 @@ class LeftOfLogs:
                 self._parts *= parts
                 trial = Trial("fine steps", names, start.prior, fit.values, fit.state, fit.nuisance)
                 fit = problem_of(with_steps_cut(halves, parts)).fit_one(trial)
+        own = (fit.residual**2).flatten(1).sum(1).reshape(-1, 2).sum(1)  # both halves of each window
+        chosen = few_windows(windows, len(names))
+        self._each[chosen] = own.numpy() / windows.valid[chosen].flatten(1).sum(1).clamp_min(1).numpy()
         return self._kept(fit, names)
+
+    def undisturbed(self) -> Windows:
+        """The windows of which no more is left than of most: in the others something happened, such as a push.
+
+        They say nothing of the steps of an engine, and more than all others together.
+        """
+        quiet = self._each <= STANDS_OUT * max(float(np.median(self._each)), NOISE)
+        return self.windows.take(quiet) if (~quiet).sum() <= len(quiet) // 3 else self.windows
 
     def late(self, law: System, than: Left | None = None) -> Left:
         """As a call, with commands that act later than they are sent, by a time that is fitted too.

@@ -303,12 +303,16 @@ class ExtendedSystem(WrappedSystem):
             if placed.effect.site == "channel":
                 site = SensorSite((placed.index,), (), time)
             else:
-                shown = list(enumerate(self.measured_states))
-                positions = tuple(c for c, s in shown if s == placed.index)
-                speeds = tuple(c for c, s in shown if s == placed.index + self.joints)
-                site = SensorSite(positions, speeds, time)
+                joint, source = placed.joint(self.base), placed.source(self.base)
+                site = SensorSite(*self._channels_of(joint), time, self._channels_of(source))
             measurement = placed.effect.apply(measurement, site, own_values(placed.name, parameters))
         return measurement
+
+    def _channels_of(self, joint: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Channels of a joint's position, and those of its speed."""
+        shown = list(enumerate(self.measured_states))
+        own = [tuple(c for c, s in shown if s == k) for k in (joint, joint + self.joints)]
+        return own[0], own[1]
 
     def _at_null(self, placed: PlacedEffect, parameters: Parameters) -> bool:
         own = own_values(placed.name, parameters)

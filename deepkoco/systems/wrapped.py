@@ -85,6 +85,10 @@ class WrappedSystem(System):
     def coupled_joints(self) -> tuple[tuple[int, int], ...]:
         return self.base.coupled_joints
 
+    @property
+    def shown_pairs(self) -> tuple[tuple[int, int], ...]:
+        return self.base.shown_pairs
+
     def at_joint(self, name: str, joint: int) -> str:
         return self.base.at_joint(name, joint)
 

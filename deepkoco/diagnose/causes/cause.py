@@ -11,7 +11,7 @@ import numpy as np
 from deepkoco.diagnose.causes.tolerance import Tolerance, share_of_usual
 from deepkoco.systems import Parameter, System
 from deepkoco.systems.effects import PlacedEffect
-from deepkoco.systems.effects.effect import ALL
+from deepkoco.systems.effects.effect import ALL, PAIRS
 from deepkoco.systems.motion import PushPlace
 
 if TYPE_CHECKING:
@@ -140,7 +140,7 @@ class Cause:
     def at(self, placed: PlacedEffect, system: System) -> Cause:
         """The cause at one site of a system."""
         site = placed.effect.site
-        joint = placed.joint(system) if site in ("joint", "pair") else None
+        joint = placed.joint(system) if site in ("joint", *PAIRS) else None
         if site == "command" and placed.index != ALL:
             joint = system.command_joints[placed.index]
         parameters = placed.parameters(system)

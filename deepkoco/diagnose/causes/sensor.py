@@ -57,6 +57,16 @@ SENSOR_DRIFT = Cause(
     "time",
     lambda motion: np.cos(motion.theta) * (motion.time - motion.time.mean()),
 )
+SENSOR_CROSSTALK = Cause(
+    "sensor_crosstalk",
+    "sensor",
+    ("share",),
+    "What shows one joint shows a share of another joint's position too: through gears or cables that lead the motion "
+    "of one past the other, or through wiring.",
+    "Hold one joint, move the other by hand, and watch the reading of the one that is held.",
+    "theta",
+    lambda motion: np.sin(motion.theta),
+)
 LOW_PASS = Cause(
     "low_pass",
     "sensor",

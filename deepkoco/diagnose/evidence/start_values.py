@@ -138,7 +138,10 @@ def pushes_of_bodies(system: System, missing: Sequence[MissingTorque]) -> tuple[
                         "duration": width * joint.slot,
                     }
                     at = {"log": float(joint.log[w]), "place": float(index)}
-                    best[width] = (float(fall[w, k]), {"torque": 0.0, **dict.fromkeys(AXES, 0.0), **forces, **own, **when, **at})
+                    best[width] = (
+                        float(fall[w, k]),
+                        {"torque": 0.0, **dict.fromkeys(AXES, 0.0), **forces, **own, **when, **at},
+                    )
         found += [push for _, push in best.values()]
     return tuple(found)
 

@@ -15,7 +15,10 @@ from deepkoco.systems.parameter import Parameter, Parameters
 from deepkoco.systems.system import System
 
 Place = Literal["command", "series", "timing", "load", "memory", "body", "elastic", "sensor", "noise"]
-Site = Literal["system", "joint", "command", "channel", "kind", "body", "place", "force place", "pair"]
+Site = Literal[
+    "system", "joint", "command", "channel", "kind", "body", "place", "force place", "pair", "shown pair"
+]
+PAIRS = ("pair", "shown pair")
 
 ALL = -1  # index of an effect that acts on all driving commands alike
 
@@ -29,11 +32,19 @@ def steady_level(effect: Effect, p: Parameters) -> Tensor:
 
 
 class SensorSite(NamedTuple):
-    """Which channels a sensor effect acts on, and when."""
+    """Which channels a sensor effect acts on, and when.
+
+    Attributes:
+        positions: Channels of the joint's position.
+        speeds: Channels of its speed.
+        time: Since the log's first command [s], of the shape of one channel.
+        others: Of a pair, the channels of the other joint's position, and those of its speed.
+    """
 
     positions: tuple[int, ...]
     speeds: tuple[int, ...]
-    time: Tensor | None  # since the log's first command [s], of the shape of one channel
+    time: Tensor | None
+    others: tuple[tuple[int, ...], tuple[int, ...]] = ((), ())
 
 
 def _carried_out_elsewhere(*_: Any) -> Any:
@@ -72,9 +83,9 @@ class Effect:
         summary: One sentence for reports.
         apply: The physics.
         site: What the effect belongs to: there is one for each joint, command, channel, kind of parameters, body with
-            a mass, place of a payload (the tip first), place of an outside force, or pair of coupled joints, or one
-            in all. A load of a pair acts on the second joint and is shown the state of the second joint with the
-            effort of the first.
+            a mass, place of a payload (the tip first), place of an outside force, pair of coupled joints, or pair of
+            joints whose positions are measured, or one in all. A load of a pair acts on the second joint and is shown
+            the state of the second joint with the effort of the first.
         shared: Whether there is one more, ``<name>(all)``, that acts on all driving commands alike.
         acting: ``(p) -> p``: its own parameters without those that change nothing at their present values. It is asked
             once before many calls of ``apply``.
@@ -116,11 +127,15 @@ class PlacedEffect(NamedTuple):
 
     def joint(self, system: System) -> int:
         """Joint on which a load acts."""
-        return system.coupled_joints[self.index][1] if self.effect.site == "pair" else self.index
+        return self._pair(system)[1] if self.effect.site in PAIRS else self.index
 
     def source(self, system: System) -> int:
-        """Joint whose effort it is shown."""
-        return system.coupled_joints[self.index][0] if self.effect.site == "pair" else self.index
+        """Joint whose effort, or whose measurement, it is shown."""
+        return self._pair(system)[0] if self.effect.site in PAIRS else self.index
+
+    def _pair(self, system: System) -> tuple[int, int]:
+        pairs = system.coupled_joints if self.effect.site == "pair" else system.shown_pairs
+        return pairs[self.index]
 
     def parameters(self, system: System) -> tuple[Parameter, ...]:
         """Declarations under their short names."""
@@ -153,10 +168,11 @@ def place(effect: Effect, system: System) -> tuple[PlacedEffect, ...]:
     """
     if effect.site == "system":
         names = [effect.name]
-    elif effect.site == "pair":
+    elif effect.site in PAIRS:
         system.at_joint(effect.name, 0)  # refuses names that cannot be read back
         joints = system.joint_names
-        names = [f"{effect.name}({joints[a]} to {joints[b]})" for a, b in system.coupled_joints]
+        pairs = system.coupled_joints if effect.site == "pair" else system.shown_pairs
+        names = [f"{effect.name}({joints[a]} to {joints[b]})" for a, b in pairs]
     elif effect.site == "place":
         # The tip is a site too, but has its own, shorter name already.
         own = ["" if site == system.tip else f"{effect.name}({site})" for site in system.payload_sites]

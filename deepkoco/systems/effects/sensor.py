@@ -97,6 +97,20 @@ def _low_pass(system: System, _: int = 0) -> tuple[Parameter, ...]:
     return (Parameter("time_constant", 0.0, "s", 0.0, 0.3, 0.05, "T_s, first-order filter of the sensors"),)
 
 
+def _sensor_crosstalk(system: System, pair: int = 0) -> tuple[Parameter, ...]:
+    source, joint = system.shown_pairs[pair]
+    per = "1" if system.state_units[source] == system.state_units[joint] else "rad/m or m/rad"
+    text = "c_s, reading of this joint per position of that"
+    return (Parameter("share", 0.0, per, -1.0, 1.0, 0.1, text),)
+
+
+def _apply_sensor_crosstalk(measurement: Tensor, site: SensorSite, p: Parameters) -> Tensor:
+    own = measurement.unbind(-1)
+    for channels, (source, *_) in ((own_c, o) for own_c, o in zip(site[:2], site.others, strict=True) if o):
+        measurement = _changed(measurement, channels, lambda x, of=own[source]: x + p["share"] * of)
+    return measurement
+
+
 SENSOR_BIAS = Effect(
     "sensor_bias", "sensor", "sensor", _bias, "the position sensor's zero is off", _apply_bias
 )
@@ -120,6 +134,15 @@ CHANNEL_SCALE = Effect(
     "one of several sensors of a joint is scaled",
     _apply_slip,
     "channel",
+)
+SENSOR_CROSSTALK = Effect(
+    "sensor_crosstalk",
+    "sensor",
+    "sensor",
+    _sensor_crosstalk,
+    "what shows one joint shows a share of another one too",
+    _apply_sensor_crosstalk,
+    "shown pair",
 )
 SENSOR_DRIFT = Effect(
     "sensor_drift", "sensor", "sensor", _drift, "the position sensor's zero drifts", _apply_drift
