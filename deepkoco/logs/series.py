@@ -375,7 +375,10 @@ def _check_header(log: LogFile, column: Column) -> None:
         stated = parse_unit(header.group(1))
     except UnitError:
         return  # brackets in a header can contain other text than a unit
-    if stated != parse_unit(column.unit):
+    wanted = parse_unit(column.unit)
+    if wanted.si == "1" and stated.si != "1":
+        return  # a number that an actuator takes, such as that of its current
+    if stated != wanted:
         raise LogError(
             f'{log.path}: column "{column.name}": mixed units, the header says {header.group(1)}, the '
             f"mapping says {column.unit}; correct the mapping"

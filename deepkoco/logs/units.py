@@ -66,6 +66,9 @@ _SYNONYMS = {
     "turn": "rev",
     "r/min": "rpm",
     "rev/min": "rpm",
+    "1/min": "rpm",
+    "min^-1": "rpm",
+    "U/min": "rpm",
     "RPM": "rpm",
     "volt": "V",
     "ampere": "A",
@@ -92,6 +95,10 @@ _UNITS = {
 _UNITS |= {_key(other): _UNITS[_key(name)] for other, name in _SYNONYMS.items()}
 
 
+# A capital M before another capital stands for a million.
+_FOLDED = {key.casefold(): unit for key, unit in _UNITS.items() if key[:1] != "m" or not key[1:2].isupper()}
+
+
 def known_units(quantity: str | None = None) -> tuple[str, ...]:
     """List the known units of one quantity ("angle", "torque", ...), or of all."""
     tables = _TABLE.values() if quantity is None else (_TABLE[quantity],)
@@ -107,10 +114,21 @@ def parse_unit(text: str) -> Unit:
     Raises:
         UnitError: the unit is unknown; the message lists the known ones.
     """
-    unit = _UNITS.get(_key(str(text)))
+    key = _key(str(text))
+    unit = _UNITS.get(key) or (_FOLDED.get(key.casefold()) if len(key) > 1 else None)
     if unit is None:
         raise UnitError(f'unknown unit "{text}"; known units: {", ".join(known_units())}')
     return unit
+
+
+def usual_spelling(text: str) -> str:
+    """The name under which `known_units` lists a unit: "deg" for "Grad" and "°".
+
+    Raises:
+        UnitError: the unit is unknown.
+    """
+    unit = parse_unit(text)
+    return next(name for name in known_units(unit.quantity) if parse_unit(name) == unit)
 
 
 def factor_between(unit: str, target: str) -> float:

@@ -36,7 +36,12 @@ def read_head(text: str) -> Head:
     """Take comments above the header away, put a row of units into the names, and read spaces as tabs."""
     lines = text.split("\n")
     if spaced := _spaced(lines):
-        lines = ["\t".join(line.lstrip("#%").split()) if line.strip() else line for line in lines]
+        # The comments above a header stay comments.
+        signs = [
+            line[0] if line.startswith(COMMENT) and lines[1].startswith(COMMENT) else "" for line in lines
+        ]
+        cells = ["\t".join(line.lstrip("#%/").split()) if line.strip() else line for line in lines]
+        lines = [f"{sign}{line}" for sign, line in zip(signs, cells, strict=True)]
         text = "\n".join(lines)
     ahead, notes = _comments(lines)
     notes += ["read spaces as the separators of the columns"] if spaced else []
@@ -94,10 +99,16 @@ def looks_like_table(path: Path) -> bool:
 
 
 def _spaced(lines: list[str]) -> bool:
-    """Whether spaces alone stand between the names of the first line, and between as many numbers of the second."""
-    if len(lines) < 2 or any(delimiter in line for line in lines[:2] for delimiter in DELIMITERS):
+    """Whether spaces alone stand between the names of the header, and between as many numbers of the line below it.
+
+    The header is the first line, or the last one of the comments above the numbers.
+    """
+    first = next((k for k, line in enumerate(lines) if line.strip() and not line.startswith(COMMENT)), 0)
+    header = first - 1 if first > 0 and _numeric(lines[first].split()) else first
+    both = lines[header : header + 2]
+    if len(both) < 2 or any(delimiter in line for line in both for delimiter in DELIMITERS):
         return False
-    names, numbers = lines[0].lstrip("#%").split(), lines[1].split()
+    names, numbers = both[0].lstrip("#%/").split(), both[1].split()
     return len(names) > 1 and len(names) == len(numbers) and _numeric(numbers) and not _numeric(names)
 
 

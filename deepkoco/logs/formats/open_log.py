@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from deepkoco.logs.formats.csv_head import looks_like_table
 from deepkoco.logs.formats.log_file import LogError, LogFile
 from deepkoco.logs.formats.recordings import is_bag, one_recording
 from deepkoco.logs.formats.wanted import Wanted
@@ -112,10 +113,11 @@ def open_log(path: str | Path, wanted: Wanted = None) -> LogFile:
     """Read a log file.
 
     Args:
-        path: `.csv` (or `.tsv`, `.txt`), `.parquet`, `.mcap`, `.bag` (ROS 1), `.db3` (ROS 2), `.pt` (tensors),
-            `.json` (entries), `.jsonl` or `.ndjson` (an object a line), `.npz`, `.mat`, `.h5` or `.hdf5` (arrays), the
-            folder of a ROS 2 bag, a folder with a CSV of commands and one of measurements, or an episode of a LeRobot
-            dataset (`DATASET/episode_3`). A folder that contains one recording stands for it.
+        path: `.csv` (or `.tsv`, `.txt`, and any other text that is a table), `.parquet`, `.mcap`, `.bag` (ROS 1),
+            `.db3` (ROS 2), `.pt` (tensors), `.json` (entries), `.jsonl` or `.ndjson` (an object a line), `.npz`,
+            `.mat`, `.h5` or `.hdf5` (arrays), the folder of a ROS 2 bag, a folder with a CSV of commands and one of
+            measurements, or an episode of a LeRobot dataset (`DATASET/episode_3`). A folder that contains one recording
+            stands for it.
         wanted: fields to read of each topic; None reads all. Files without topics are always read completely.
 
     Raises:
@@ -143,6 +145,8 @@ def _read(path: str | Path, wanted: Wanted) -> LogFile:
         raise LogError(f"{path}: no such file")
     else:
         found = FORMATS.get(path.suffix.lower())
+        if found is None and looks_like_table(path):
+            found = _csv  # a text says by itself what it is: instruments write .dat, .log, .asc, .prn
         if found is None:
             raise LogError(
                 f'{path}: format "{path.suffix}" is not known; known: {", ".join(FORMATS)}, and folders of ROS 2 '

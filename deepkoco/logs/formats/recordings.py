@@ -32,6 +32,7 @@ SUFFIXES = (
     ".h5",
     ".hdf5",
 )
+TEXTS = (".txt", ".dat", ".log", ".asc", ".prn")  # in a folder, those that are tables
 ARRAYS = (".npz", ".mat", ".h5", ".hdf5")
 DEEPEST = 6  # folders in folders that are searched
 
@@ -119,7 +120,7 @@ def _inside(path: Path, episodes: Collection[int] | None, depth: int) -> list[Pa
 
 def _is_log(file: Path) -> bool:
     suffix = file.suffix.lower()
-    if suffix == ".txt":
+    if suffix in TEXTS:
         return looks_like_table(file)
     if suffix in ARRAYS:
         return not _is_copy(file) and looks_like_arrays(file)

@@ -35,6 +35,7 @@ class Choice:
         reasons: reasons in words.
         rival: label of the next best column, None if all others are much worse.
         scale, offset: factor, and what is added then, in the unit of the column.
+        held: whether the equations of motion hold in the unit, and in no other.
     """
 
     channel: Channel
@@ -46,6 +47,7 @@ class Choice:
     rival: str | None = None
     scale: float = 1.0
     offset: float = 0.0
+    held: bool = False
 
     @property
     def sureness(self) -> str:

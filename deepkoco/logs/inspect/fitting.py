@@ -12,7 +12,7 @@ from deepkoco.logs.inspect.counts_of_speed import with_counts_of_speed
 from deepkoco.logs.inspect.evidence import samples_of
 from deepkoco.logs.inspect.joints import has_named_joints, propose_joints
 from deepkoco.logs.inspect.left_over import with_what_is_left
-from deepkoco.logs.inspect.lone_units import with_likely_units
+from deepkoco.logs.inspect.lone_units import with_likely_units, with_units_held
 from deepkoco.logs.inspect.misfit import misfit
 from deepkoco.logs.inspect.other_quantity import with_numbers_of_drives
 from deepkoco.logs.inspect.proposal import Proposer
@@ -84,6 +84,8 @@ def propose(survey: Survey, system: str | System | None = None, others: Sequence
             proposal = with_likely_units(found, proposal, samples)
         proposals[found.name] = found, proposal
     proposals = {n: (own, with_numbers_of_drives(own, found)) for n, (own, found) in proposals.items()}
+    if system is not None:
+        proposals = {n: (own, with_units_held(own, found, samples)) for n, (own, found) in proposals.items()}
     usable = [name for name, (_, proposal) in proposals.items() if proposal.complete(survey)]
     if not usable:
         raise _nothing(survey, next(iter(proposals.values()))[1], system is not None)

@@ -24,6 +24,7 @@ REACH = 0.2  # seconds on each side over which accelerations are compared
 LEAST = 4  # and steps of the grid
 LESS = 0.4  # share of the misfit as proposed below which other units are taken
 FITS = 0.5  # misfit above which equations tell no counts: limits leave many turns, the zero may be another
+HALF = 0.5  # share of the misfit in every other unit below which equations hold in one alone
 ROOM = 2.0  # times its limit that a command may reach
 ALIKE = 1.5  # times the misfit of the best reading below which another one is told
 NEAR = 0.15  # as is one that differs from it by this share: masses and gains of the description are not exact either
@@ -80,6 +81,47 @@ def with_likely_units(system: System, proposal: Proposal, samples: Mapping[str, 
         if reading != Reading(c.unit)
     }
     return replace(proposal, choices=tuple(changed.get(c.channel.name, c) for c in proposal.choices))
+
+
+def with_units_held(system: System, proposal: Proposal, samples: Mapping[str, Samples]) -> Proposal:
+    """Mark positions, speeds and efforts without a stated unit, where the equations hold in these units alone.
+
+    A recorder writes the positions of all joints that turn in one unit, those of all that slide, and all efforts.
+
+    Args:
+        system: The system, whose measurements must show all its positions, with a column for each command.
+        proposal: Its mapping.
+        samples: Label -> stamps [s] and values of each column.
+    """
+    shown, positions = _shown(system, proposal), _positions(system, proposal)
+    drives = [c for c in proposal.choices if c.channel.kind == "command" and c.column is not None]
+    free = [c for c in shown if c is not None and not c.stated]
+    efforts = [
+        c
+        for c in drives
+        if not c.stated and parse_unit(c.channel.unit).quantity in ("torque", "force", "ratio")
+    ]
+    if not (free or efforts) or positions is None or len(drives) < len(system.commands):
+        return proposal
+    if any(c.unit != c.channel.unit for c in free):
+        return proposal
+    groups = [[c for c in free if c in positions and c.unit == unit] for unit in ("rad", "m")]
+    groups = [group for group in groups if group]
+    tried = [UNITS[parse_unit(group[0].unit).quantity] for group in groups]
+    found: dict[tuple, float] = {}
+    for *units, power in product(*tried, (1.0, 1e-3, 1e3) if efforts else (1.0,)):
+        taken = {c.channel.name: Reading(u) for group, u in zip(groups, units, strict=True) for c in group}
+        given = [replace(c, scale=power * c.scale) if c in efforts else c for c in drives]
+        try:
+            found[*units, power] = _misfit(system, positions, taken, given, samples)
+        except (RuntimeError, ValueError):  # equations that cannot be evaluated there
+            return proposal
+    own = found.pop((*(group[0].unit for group in groups), 1.0))
+    if not (own <= FITS and all(own < HALF * other for other in found.values())):
+        return proposal
+    known = {c.channel.name for c in (*free, *efforts)}
+    choices = tuple(replace(c, held=c.channel.name in known) for c in proposal.choices)
+    return replace(proposal, choices=choices)
 
 
 def _read(choice: Choice, reading: Reading, alike: Sequence[Reading] | None) -> Choice:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from deepkoco.logs.units import UnitError, known_units, parse_unit
+from deepkoco.logs.units import UnitError, known_units, parse_unit, usual_spelling
 
 # Evidence of a word for a quantity [nats].
 WORDS: dict[str, dict[str, float]] = {
@@ -177,7 +177,7 @@ def read_name(name: str) -> NameHints:
         inside = bracket.group(1).strip()
         # Text in brackets that is a known unit is taken as the unit, not as the name of a joint.
         if _known(inside) and not inside.isdecimal():
-            unit = inside
+            unit = usual_spelling(inside)
         else:
             joint = inside
     parts = [part for part in re.split(r"[^A-Za-z0-9°%]+", rest) if part]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from deepkoco.logs.inspect.choice import Choice, Proposal
+from deepkoco.logs.inspect.joints.log_joints import role_of
 from deepkoco.logs.units import parse_unit
 from deepkoco.systems import System
 
@@ -17,7 +18,7 @@ def with_numbers_of_drives(system: System, proposal: Proposal) -> Proposal:
 
     A motor of a model file takes a number. Where its gear is its torque constant, that is its current. A load on its
     joint is what the gear makes of the number; so the torque of a motor that moves a slide is the number itself, and a
-    torque beside a hinge may be either.
+    torque beside a hinge may be either. A goal of a speed is that of a motor's shaft behind the gear of a servo.
 
     Args:
         system: The system.
@@ -38,8 +39,11 @@ def measures_another(choice: Choice) -> bool:
 def _as_number(choice: Choice, load: str | None) -> Choice:
     own, wanted = parse_unit(choice.unit), parse_unit(choice.channel.unit)
     number = choice.channel.kind == "command" and wanted.quantity == "ratio"
-    of_a_drive = own.quantity in OF_A_DRIVE or (
-        load is not None and own.quantity in LOADS.values() and own.quantity != load
+    asked = None if choice.column is None else role_of(choice.column)[0]
+    of_a_drive = (
+        own.quantity in OF_A_DRIVE
+        or (load is not None and own.quantity in LOADS.values() and own.quantity != load)
+        or (asked == "goal speed" and own.quantity == "angular velocity")
     )
     if choice.column is None or not number or not of_a_drive:
         return choice

@@ -87,7 +87,7 @@ class SureMappings:
             fitting = propose(own, self._system, others)
         except NoProposalError as error:
             raise LogError(str(error)) from error
-        doubt = _doubt(fitting, self._system)
+        doubt = _doubt(own, fitting, self._system)
         if doubt is not None:
             raise LogError(doubt)
         text = dump_sidecar(None, mapping_of(own, fitting.proposal), {"proposed by": "deepkoco inspect"})
@@ -99,24 +99,26 @@ def _whole(log: Path) -> tuple[Path, int]:
     return whole, run or 0
 
 
-def _doubt(fitting: Fitting, system: System) -> str | None:
-    """Why a proposal is not sure; None where it is."""
+def _doubt(survey: Survey, fitting: Fitting, system: System) -> str | None:
+    """Why a proposal for a log is not sure; None where it is."""
     joints = {finding.model: finding for finding in fitting.proposal.joints}
     if not joints:
         return _doubt_of_names(fitting)
+    others = fitting.proposal.unused(survey)
     for choice in fitting.proposal.choices:
         name, column = choice.channel.name, choice.column
         if column is None:
             if choice.channel.kind == "command" and choice.channel.default is None:
                 return f"no column is the command {name} for sure"
             continue
-        if choice.sureness != "sure" or SAME_NAME not in choice.reasons:
+        by_name = choice.sureness == "sure" and SAME_NAME in choice.reasons
+        if not (by_name or (choice.held and choice.channel.kind == "command")):
             return f"{name} is {choice.sureness}, but not by its name: {column.label}"
         if measures_another(choice):
             return f"{column.label} is in {choice.unit}, and {name} is in {choice.channel.unit}"
-        if choice.channel.kind == "measurement" and not choice.stated:
+        if choice.channel.kind == "measurement" and not (choice.stated or choice.held):
             return f"no name says that {column.label} is in {choice.unit}"
-        if choice.channel.kind == "command" and (doubt := _doubt_of_command(choice, joints, system)):
+        if choice.channel.kind == "command" and (doubt := _doubt_of_command(choice, joints, system, others)):
             return doubt
     return fitting.doubt
 
@@ -140,15 +142,25 @@ def _doubt_of_names(fitting: Fitting) -> str | None:
     return fitting.doubt
 
 
-def _doubt_of_command(choice: Choice, joints: dict[str, JointFinding], system: System) -> str | None:
-    """Why a column is not a command for sure; None where it is."""
+def _doubt_of_command(
+    choice: Choice, joints: dict[str, JointFinding], system: System, others: Sequence[str]
+) -> str | None:
+    """Why a column is not a command for sure; None where it is.
+
+    Args:
+        choice: The column.
+        joints: What was found of each joint.
+        system: The system.
+        others: Labels of the columns that are no channel.
+    """
     column, channel = choice.column, choice.channel
     assert column is not None
     number = [c.name for c in system.commands].index(channel.name)
     driven = system.command_joints[number] if number < len(system.command_joints) else None
     said = set(words_of(column.name))
-    if any("in the place of" in reason for reason in choice.reasons):
-        return f"{column.label} is measured, and may not be the command {channel.name}"
+    if others and _may_be_measured(choice):
+        # What drives the joint may be in one of them.
+        return f"{column.label} is measured, and may not be the command {channel.name}, beside {', '.join(others)}"
     if driven is not None and channel.unit == system.state_units[driven]:
         if column.hints.unit is not None and column.hints.unit == choice.unit:
             return None
@@ -158,7 +170,7 @@ def _doubt_of_command(choice: Choice, joints: dict[str, JointFinding], system: S
         return None if follows else f"{column.label} is no goal that its position follows in one unit"
     if said & (POSITION | SPEED) or (said & set(WANTED) and not said & EFFORT):
         return f"{column.label} may be a goal of a position or a speed, and {channel.name} is none"
-    if choice.stated:
+    if choice.stated or choice.held:
         return None
     most = max(abs(channel.low), abs(channel.high))
     largest = abs(choice.scale) * max(abs(column.low or 0.0), abs(column.high or 0.0))
@@ -183,6 +195,11 @@ def _said(proposal: Proposal) -> str:
     assumed += [
         _assumed_of(c, c.column.label) for c in proposal.choices if c.column is not None and not c.stated
     ]
+    assumed += [
+        f"{c.column.label} is what drives {c.channel.name}, commanded or measured"
+        for c in proposal.choices
+        if c.column is not None and _may_be_measured(c)
+    ]
     return (
         f"no sidecar: {taken}"
         + (f"; assumed: {'; '.join(assumed)}" if assumed else "")
@@ -190,8 +207,13 @@ def _said(proposal: Proposal) -> str:
     )
 
 
+def _may_be_measured(choice: Choice) -> bool:
+    """Whether a column of a command has a name as measured efforts have."""
+    return any("in the place of" in reason for reason in choice.reasons)
+
+
 def _assumed_of(choice: Choice, label: str) -> str:
     size = abs(choice.scale)
     if choice.channel.unit == "1" and size != 1.0:
         return f"{label} times {size:.3g} is {choice.channel.name}"
-    return f"{label} is in {choice.unit}"
+    return f"{label} is in {choice.unit}" + (", as the equations ask" if choice.held else "")

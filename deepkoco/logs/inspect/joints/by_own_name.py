@@ -13,6 +13,7 @@ from deepkoco.logs.inspect.survey import ColumnSurvey, Survey
 from deepkoco.logs.units import parse_unit
 from deepkoco.systems import Channel, System
 
+EFFORT_GOALS = (GOALS["effort"],)
 NAMED = 0.95  # probability that a column with the name of an actuator or a joint is its channel
 
 
@@ -63,7 +64,9 @@ def give_commands(called: dict[int, ColumnSurvey], joints: dict[int, LogJoint], 
         joints[driven].columns.setdefault(role, column)
 
 
-def command_by_name(survey: Survey, choice: Choice, shown: set[str], joint: str = "") -> Choice:
+def command_by_name(
+    survey: Survey, choice: Choice, shown: set[str], joint: str = "", efforts: bool = False
+) -> Choice:
     """A command without a column, with the one that has its name: that of the actuator, alone or behind `cmd_`.
 
     Else the one of which all words but those for a goal are the actuator's: ``drive_cmd``, ``m_elbow_setpoint``; or
@@ -74,6 +77,8 @@ def command_by_name(survey: Survey, choice: Choice, shown: set[str], joint: str 
         choice: For the command.
         shown: Labels of the columns that are measurements.
         joint: Name of the joint that no other command drives; empty if there is none.
+        efforts: Whether the log has efforts without the name of a joint. What drives a joint in a unit of its own is
+            then one of them, and no goal of a position.
     """
     if choice.column is not None:
         return choice
@@ -82,7 +87,8 @@ def command_by_name(survey: Survey, choice: Choice, shown: set[str], joint: str 
     exact = [c for c in free if _without_unit(c, choice.channel) in names]
     asked: list[ColumnSurvey] = []
     for own in (role_in_name(choice.channel.name)[1], role_in_name(joint)[1]):
-        asked = asked or [c for c in free if own and role_of(c) in {(goal, own) for goal in GOALS.values()}]
+        own_goals = GOALS.values() if not efforts or choice.channel.unit != "1" else EFFORT_GOALS
+        asked = asked or [c for c in free if own and role_of(c) in {(goal, own) for goal in own_goals}]
     if not exact and len(asked) != 1:
         return choice
     column = (exact or asked)[0]

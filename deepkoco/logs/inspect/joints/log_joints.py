@@ -35,6 +35,11 @@ FILLER = {
     "act",
     "cur",
 }
+# Letters by which formulas call a quantity, and columns what they hold in its unit.
+SYMBOLS = {
+    "angular velocity": ("n", "w"), "velocity": ("v",), "torque": ("m", "t"), "force": ("f",), "current": ("i",),
+    "voltage": ("u",),
+}  # fmt: skip
 GOALS = {"position": "goal", "speed": "goal speed", "effort": "goal effort"}
 DRIVEN = {"goal", "goal speed", "effort", "goal effort"}
 _ROLE_WORDS = GOAL | MEASURED | POSITION | SPEED | EFFORT | FILLER
@@ -81,6 +86,8 @@ def log_joints(
         if not column.usable:
             continue
         role, label = role_of(column)
+        own = known.intersection(words_of(column.name))
+        label = own.pop() if not label and len(own) == 1 else label  # a joint may be called phi
         role = role if _fits(column, role, fitting) else None
         if role == "position" or label in known:
             said.add(label)
@@ -178,9 +185,14 @@ def role_of(column: ColumnSurvey) -> tuple[str | None, str]:
     The unit says what a goal is of: ``reach_cmd_Nm`` is an effort, and no position follows it.
     """
     role, label = role_in_name(column.name, column.topic)
-    if role != "goal" or column.hints.unit is None:
+    if column.hints.unit is None:
         return role, label
     quantity = parse_unit(column.hints.unit).quantity
+    symbol, _, rest = label.partition("_")
+    if rest and symbol in SYMBOLS.get(quantity, ()):
+        label = rest  # `n_soll Lift [1/min]` is of the lift
+    if role != "goal":
+        return role, label
     return {**dict.fromkeys(SPEEDS, "goal speed"), **dict.fromkeys(EFFORTS, "goal effort")}.get(
         quantity, role
     ), label

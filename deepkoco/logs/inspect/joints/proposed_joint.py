@@ -60,5 +60,7 @@ def speed_goal_column(log: LogJoint) -> ColumnSurvey | None:
     return log.columns.get("goal speed") or goal
 
 
-def effort_column(log: LogJoint) -> ColumnSurvey | None:
-    return log.columns.get("goal effort") or log.columns.get("effort") or log.columns.get("goal")
+def effort_column(log: LogJoint, elsewhere: bool = False) -> ColumnSurvey | None:
+    """What drives a joint in a unit of its own; a goal only where no effort is ``elsewhere`` in the log."""
+    own = log.columns.get("goal effort") or log.columns.get("effort")
+    return own or (None if elsewhere else log.columns.get("goal"))

@@ -80,10 +80,14 @@ def propose_joints(surveys: Sequence[Survey], system: System) -> Proposal:
         [_measurement(survey, system, c, by_number, findings) for c in system.measurements]
     )
     measured = [speed_by_name(survey, choice, set(by_number), system) for choice in measured]
-    commanded = [_command(survey, system, k, by_number, findings) for k in range(len(system.commands))]
+    efforts = bool(loose_efforts(survey.columns, found))
+    commanded = [
+        _command(survey, system, k, by_number, findings, efforts) for k in range(len(system.commands))
+    ]
     shown = {c.column.label for c in measured if c.column is not None}
     commanded = [
-        command_by_name(survey, choice, shown, _driven_alone(system, k)) for k, choice in enumerate(commanded)
+        command_by_name(survey, choice, shown, _driven_alone(system, k), efforts)
+        for k, choice in enumerate(commanded)
     ]
     taken = {c.column.label for c in commanded if c.column is not None}
     loose = [column for column in loose_efforts(survey.columns, found) if column.label not in taken]
@@ -275,6 +279,7 @@ def _command(
     number: int,
     joints: dict[int, ProposedJoint],
     findings: dict[int, JointFinding],
+    efforts: bool,
 ) -> Choice:
     channel = system.commands[number]
     driven = system.command_joints[number] if number < len(system.command_joints) else None
@@ -284,7 +289,7 @@ def _command(
     finding, tracking = findings[driven], joint.tracking
     if channel.unit != system.state_units[driven]:
         speed = parse_unit(channel.unit).quantity in SPEEDS
-        column = speed_goal_column(joint.log) if speed else effort_column(joint.log)
+        column = speed_goal_column(joint.log) if speed else effort_column(joint.log, efforts)
         if column is None:
             return Choice(channel, None, channel.unit, False, 1.0, ())
         said = [finding.reason]
@@ -329,21 +334,19 @@ def _with_loose_efforts(
         and parse_unit(choice.channel.unit).quantity not in SPEEDS
     ]
     result = list(commands)
-    wanted = Counter(parse_unit(commands[k].channel.unit).quantity for k in free)
     quantities = [None if c.hints.unit is None else parse_unit(c.hints.unit).quantity for c in loose]
     there = Counter(quantities)
+    takers = {q: [k for k in free if _takes(commands[k].channel, q)] for q in there}
     kept = [
         (column, quantity)
         for column, quantity in zip(loose, quantities, strict=True)
-        if quantity is None or there[quantity] <= wanted[quantity]
+        if quantity is None or there[quantity] <= len(takers[quantity])
     ]
     if len(kept) > len(free):
         return result
     for column, quantity in kept:
         unit = column.hints.unit
-        fitting = [
-            k for k in free if quantity is None or parse_unit(commands[k].channel.unit).quantity == quantity
-        ]
+        fitting = [k for k in takers[quantity] if k in free]
         if not fitting:  # columns without a unit have taken the commands
             continue
         k = fitting[0]
@@ -353,6 +356,12 @@ def _with_loose_efforts(
             channel, column, unit or channel.unit, unit is not None, LOOSE, ("the next effort in the order",)
         )
     return result
+
+
+def _takes(command: Channel, quantity: str | None) -> bool:
+    """Whether a command may be an effort of this quantity, None for one without a unit; a number may be any."""
+    own = parse_unit(command.unit).quantity
+    return quantity is None or own == quantity or own == "ratio"
 
 
 def _frame(finding: JointFinding, scaling: Scaling, direction: float) -> tuple[float, float]:
