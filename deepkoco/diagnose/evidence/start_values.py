@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import torch
 
 from deepkoco.diagnose.causes import Cause, Hint
 from deepkoco.diagnose.causes.driving import driving_command
+from deepkoco.diagnose.evidence.pushed_bodies import WIDTHS, pushes_of_bodies
 from deepkoco.diagnose.residuals.residuals import MissingTorque
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.simulate.push import AXES
-from deepkoco.systems import Parameter, System
-
-WIDTHS = (1, 2, 3, 4, 6)  # durations of a push at its starts, in slots
+from deepkoco.systems import System
 
 
 class Hints:
@@ -97,55 +95,3 @@ def pushes_from(missing: Sequence[MissingTorque]) -> tuple[dict[str, float], ...
                 }
             )
     return tuple(found)
-
-
-def pushes_of_bodies(system: System, missing: Sequence[MissingTorque]) -> tuple[dict[str, float], ...]:
-    """Return starts of a push at each body: the runs of slots where a force at it lowers chi2 most, and that force.
-
-    Args:
-        system: The system.
-        missing: Missing load of each joint; empty, or without what they are together, where no body can be pushed.
-    """
-    together = missing[0].together if missing else None
-    if together is None:
-        return ()
-    joint, slots = missing[0], together.slope.shape[-1]
-    positions = [torch.from_numpy(q) for q in together.positions]
-    found = []
-    for index, place in enumerate(system.push_places):
-        declared = {p.name: p for p in place.parameters}
-        axes = [k for k, axis in enumerate(AXES) if axis in declared]
-        prior = np.diag([declared[AXES[k]].prior_sd ** -2.0 for k in axes])
-        best: dict[int, tuple[float, dict[str, float]]] = {}
-        for along in _points(declared.get("along")):
-            loads = system.loads_of_push(index, torch.tensor(along, dtype=torch.float64), positions).numpy()[
-                axes
-            ]
-            slope = np.einsum("ajwk,wjk->wka", loads, together.slope)
-            curvature = np.einsum("ajwk,wjkil,biwl->wkalb", loads, together.curvature, loads, optimize=True)
-            for width in (w for w in WIDTHS if w <= slots):
-                starts = range(slots - width + 1)
-                g = np.stack([slope[:, k : k + width].sum(1) for k in starts], 1)
-                h = np.stack([curvature[:, k : k + width, :, k : k + width].sum((1, 3)) for k in starts], 1)
-                force = np.linalg.solve(h + prior, g[..., None])[..., 0]
-                fall = (g * force).sum(-1)
-                w, k = np.unravel_index(int(np.argmax(fall)), fall.shape)
-                if width not in best or fall[w, k] > best[width][0]:
-                    forces = {AXES[a]: float(f) for a, f in zip(axes, force[w, k], strict=True)}
-                    own = {"along": along} if "along" in declared else {}
-                    when = {
-                        "start": float(joint.time[w, k] - 0.5 * joint.slot),
-                        "duration": width * joint.slot,
-                    }
-                    at = {"log": float(joint.log[w]), "place": float(index)}
-                    best[width] = (
-                        float(fall[w, k]),
-                        {"torque": 0.0, **dict.fromkeys(AXES, 0.0), **forces, **own, **when, **at},
-                    )
-        found += [push for _, push in best.values()]
-    return tuple(found)
-
-
-def _points(along: Parameter | None) -> tuple[float, ...]:
-    """Points along a link at which a push is tried: its centre of mass, and between it and both ends."""
-    return (0.0,) if along is None else (0.0, 0.5 * along.low, 0.5 * along.high)

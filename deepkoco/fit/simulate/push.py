@@ -13,7 +13,7 @@ from deepkoco.fit.data.windows import Windows
 from deepkoco.systems import Parameter, System
 
 SHORTEST = 0.02  # [s]
-LONGEST = 2.0  # [s]
+LONGEST = 5.0  # [s]
 AXES = ("x", "y", "z")
 
 
