@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from deepkoco.logs.formats import open_log
 from deepkoco.logs.formats.csv_head import read_head
 from deepkoco.logs.formats.log_file import LogError, iso_seconds
+from deepkoco.logs.formats.recordings import recordings
 from deepkoco.logs.inspect import doubts_of, propose, survey_log
 from deepkoco.logs.inspect.fitting import NoProposalError
 
@@ -95,3 +96,24 @@ def test_a_log_without_a_time_is_refused_in_one_sentence(tmp_path):
     survey = survey_log(read(tmp_path, frame.to_csv(index=False)))
     with pytest.raises(NoProposalError, match="no column is a time"):
         propose(survey, str(tmp_path / "arm.xml"))
+
+
+@pytest.mark.parametrize("suffix", [".dat", ".log", ".prn", ".TXT"])
+def test_a_text_is_read_as_the_table_that_it_is_whatever_its_name_ends_in(tmp_path, suffix):
+    rows = (
+        "# finger 4, serial 17\n# angles in rad\n# time q tau_mNm\n  8.11  0.30  0.05\n  8.12  0.31 -1.78\n"
+    )
+    path = tmp_path / f"log{suffix}"
+    path.write_text(rows)
+    log = open_log(path)
+    assert list(log.table("").frame.columns) == ["time", "q", "tau_mNm"]
+    np.testing.assert_array_equal(log.values("", "q"), [0.30, 0.31])
+    assert [p.name for p in recordings([tmp_path])] == [path.name]
+
+
+def test_a_text_that_is_no_table_has_no_format(tmp_path):
+    (tmp_path / "notes.dat").write_text("Monday: the finger was oiled.\nTuesday: it was not.\n")
+    with pytest.raises(LogError, match=r'format "\.dat" is not known'):
+        open_log(tmp_path / "notes.dat")
+    with pytest.raises(LogError, match="contains no log"):
+        recordings([tmp_path])

@@ -157,7 +157,8 @@ def _doubt_of_command(
     assert column is not None
     number = [c.name for c in system.commands].index(channel.name)
     driven = system.command_joints[number] if number < len(system.command_joints) else None
-    said = set(words_of(column.name))
+    named = "" if driven is None else system.joint_names[driven]
+    said = set(words_of(column.name)) - set(words_of(named))  # a joint may be called phi
     if others and _may_be_measured(choice):
         # What drives the joint may be in one of them.
         return f"{column.label} is measured, and may not be the command {channel.name}, beside {', '.join(others)}"

@@ -1,0 +1,80 @@
+"""A force that pushes a body for a while: found as one, with its size, its place and its time."""
+
+import mujoco
+import numpy as np
+import pytest
+
+import deepkoco
+from deepkoco.diagnose import diagnose
+from deepkoco.logs.recording import Recording, Series
+
+CRANE = """<mujoco model="crane"><option integrator="implicitfast" timestep="0.001"/><worldbody>
+<body name="trolley"><joint name="trolley" type="slide" axis="1 0 0" damping="{damping}"/>
+<inertial pos="0 0 0" mass="12" diaginertia="0.1 0.1 0.1"/>
+<body name="load"><joint name="sway" axis="0 1 0" damping="0.03"/>
+<inertial pos="0 0 -0.8" mass="{mass}" diaginertia="0.02 0.02 0.02"/></body></body></worldbody>
+<actuator><motor name="drive" joint="trolley" ctrlrange="-100 100" ctrllimited="true"/></actuator></mujoco>"""
+RATE, SECONDS, NOISE = 50, 20.0, (1e-4, 5e-4)
+
+
+def moved(force, low, begins, lasts, seed=3):
+    """Log of a crane whose load is pushed at a point this far below its centre of mass."""
+    model = mujoco.MjModel.from_xml_string(CRANE.format(damping=14.7, mass=3.95))
+    data, rng = mujoco.MjData(model), np.random.default_rng(seed)
+    t, load = np.arange(0.0, SECONDS, 1.0 / RATE), model.body("load").id
+    tones, phases = rng.uniform(0.1, 0.6, 4), rng.uniform(0.0, 2.0 * np.pi, 4)
+    goal = 0.2 * np.sin(2.0 * np.pi * tones * t[:, None] + phases).sum(1)
+    shown, sent = np.empty((2, len(t))), np.empty(len(t))
+    for k, wanted in enumerate(goal):
+        shown[:, k] = data.qpos + NOISE * rng.normal(size=2)
+        sent[k] = np.clip(300.0 * (wanted - data.qpos[0]) - 60.0 * data.qvel[0], -100.0, 100.0)
+        data.ctrl[0] = sent[k]
+        for _ in range(round(1000 / RATE)):
+            data.qfrc_applied[:] = 0.0
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            if begins <= data.time < begins + lasts:
+                point = data.xipos[load] - low * data.xmat[load].reshape(3, 3)[:, 2]
+                mujoco.mj_applyFT(model, data, np.array(force), np.zeros(3), point, load, data.qfrc_applied)
+            mujoco.mj_step(model, data)
+    channels = {
+        "q_trolley": Series(t, shown[0], "m", "measurement"),
+        "q_sway": Series(t, shown[1], "rad", "measurement"),
+        "drive": Series(t, sent, "N", "command"),
+    }
+    return Recording(channels)
+
+
+@pytest.mark.study
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize(
+    ("force", "low", "begins", "lasts"),
+    [
+        ((6.5, 0.0, 0.0), 0.0, 13.2, 1.0),
+        ((-9.0, 0.0, 4.0), 0.15, 7.31, 0.2),
+        ((2.5, 0.0, 0.0), 0.0, 8.9, 3.3),
+    ],
+)
+def test_a_push_at_a_hanging_load_is_told_by_its_force_its_point_and_its_time(
+    tmp_path, force, low, begins, lasts
+):
+    (tmp_path / "crane.xml").write_text(CRANE.format(damping=15.0, mass=4.0))
+    robot = deepkoco.load_system(tmp_path / "crane.xml")
+    found = diagnose(
+        [moved(force, low, begins, lasts)], robot, only=["event", "body_push", "viscous", "payload", "gain"]
+    )
+    assert found.names == ("body_push(load)",)
+    sizes = found.causes[0].parameters
+    assert sizes["event.x"].value == pytest.approx(force[0], rel=0.05)
+    assert sizes["event.start"].value == pytest.approx(begins, abs=0.05)
+    assert sizes["event.duration"].value == pytest.approx(lasts, abs=0.1)
+    assert sizes["event.along"].low < low < sizes["event.along"].high
+
+
+@pytest.mark.study
+@pytest.mark.timeout(300)
+def test_a_crane_that_nobody_pushes_shows_no_push(tmp_path):
+    (tmp_path / "crane.xml").write_text(CRANE.format(damping=15.0, mass=4.0))
+    robot = deepkoco.load_system(tmp_path / "crane.xml")
+    log = moved((0.0, 0.0, 0.0), 0.0, 5.0, 0.0)
+    assert diagnose([log], robot, only=["event", "body_push", "viscous", "payload", "gain"]).names == ()
