@@ -98,16 +98,6 @@ class NamedJoints:
         return tuple((a, b) for a in driven for b in range(self.joints) if 0 < abs(a - b) <= near)
 
     @property
-    def shown_pairs(self) -> tuple[tuple[int, int], ...]:
-        """(a, b) where what shows the position of joint b may show a share of that of joint a too.
-
-        These are all pairs of three joints, else neighbours, of which both positions are measured.
-        """
-        shown = [j for j in range(self.joints) if j in self.measured_states] if self.shows_states else []
-        near = self.joints if self.joints <= 3 else 1
-        return tuple((a, b) for a in shown for b in shown if 0 < abs(a - b) <= near)
-
-    @property
     def _kinds(self) -> tuple[str, ...]:
         """Unit of each joint: a joint that does not turn slides."""
         return tuple("rad" if unit == "rad" else "m" for unit in self.state_units[: self.joints])

@@ -102,6 +102,16 @@ class System(SignalPath, NamedJoints, Drawn, metaclass=Declared):
         accelerations = self.accelerations(parameters)(Motion(parts[: self.joints], speeds, efforts))
         return torch.stack(torch.broadcast_tensors(*speeds, *accelerations), -1)
 
+    @property
+    def shown_pairs(self) -> tuple[tuple[int, int], ...]:
+        """(a, b) where what shows the position of joint b may show a share of that of joint a too.
+
+        These are all pairs of three joints, else neighbours, of which both positions are measured.
+        """
+        shown = [j for j in range(self.joints) if j in self.measured_states] if self.shows_states else []
+        near = self.joints if self.joints <= 3 else 1
+        return tuple((a, b) for a in shown for b in shown if 0 < abs(a - b) <= near)
+
     def unseen_joints(self, channels: Collection[str]) -> list[str]:
         """Names of the joints of which neither a measurement nor a command is among these channels of a log."""
         measured = zip((c.name for c in self.measurements), self.measured_states, strict=True)

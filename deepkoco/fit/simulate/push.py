@@ -26,18 +26,18 @@ class Push:
 
     NAMES: ClassVar[tuple[str, ...]] = (
         "event.torque",
-        "event.x",
-        "event.y",
-        "event.z",
-        "event.along",
         "event.start",
         "event.duration",
         "event.log",
         "event.place",
+        "event.x",
+        "event.y",
+        "event.z",
+        "event.along",
     )
-    FORCE: ClassVar[tuple[str, ...]] = NAMES[1:4]
-    SIZES: ClassVar[tuple[str, ...]] = NAMES[:4]
-    WHEN: ClassVar[tuple[str, ...]] = NAMES[5:7]
+    WHEN: ClassVar[tuple[str, ...]] = NAMES[1:3]
+    FORCE: ClassVar[tuple[str, ...]] = NAMES[5:8]
+    SIZES: ClassVar[tuple[str, ...]] = (NAMES[0], *FORCE)
 
     @staticmethod
     def declared(system: System, windows: Windows) -> dict[str, Parameter]:

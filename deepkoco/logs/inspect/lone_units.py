@@ -108,15 +108,16 @@ def with_units_held(system: System, proposal: Proposal, samples: Mapping[str, Sa
     groups = [[c for c in free if c in positions and c.unit == unit] for unit in ("rad", "m")]
     groups = [group for group in groups if group]
     tried = [UNITS[parse_unit(group[0].unit).quantity] for group in groups]
-    found: dict[tuple, float] = {}
-    for *units, power in product(*tried, (1.0, 1e-3, 1e3) if efforts else (1.0,)):
+    found: dict[tuple[tuple[str, ...], float], float] = {}
+    powers = (1.0, 1e-3, 1e3) if efforts else (1.0,)
+    for units, power in product(product(*tried), powers):
         taken = {c.channel.name: Reading(u) for group, u in zip(groups, units, strict=True) for c in group}
         given = [replace(c, scale=power * c.scale) if c in efforts else c for c in drives]
         try:
-            found[*units, power] = _misfit(system, positions, taken, given, samples)
+            found[units, power] = _misfit(system, positions, taken, given, samples)
         except (RuntimeError, ValueError):  # equations that cannot be evaluated there
             return proposal
-    own = found.pop((*(group[0].unit for group in groups), 1.0))
+    own = found.pop((tuple(group[0].unit for group in groups), 1.0))
     if not (own <= FITS and all(own < HALF * other for other in found.values())):
         return proposal
     known = {c.channel.name for c in (*free, *efforts)}

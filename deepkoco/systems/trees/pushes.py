@@ -67,7 +67,7 @@ def loads_of_push(tree: Tree, place: PushPlace, along: Tensor, angles: Sequence[
         point = point_along(tree, site, along, from_site=True)
     like = torch.zeros(torch.broadcast_shapes(along.shape, *(q.shape for q in angles)), dtype=torch.float64)
     result = []
-    for unit in np.eye(3).tolist():
-        force = OutsideForce(place.joint, point, tuple(unit))
+    for unit in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)):
+        force = OutsideForce(place.joint, point, unit)
         result.append(torch.stack([like + load for load in joint_loads(tree.joints, [force], angles)]))
     return torch.stack(result)
