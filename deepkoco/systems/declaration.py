@@ -161,7 +161,8 @@ def _check_measurements(who: str, system: Any) -> None:
     if not system.shows_states:
         return  # its sensors show something of its own
     shown = system.measured_states
-    if len(shown) != len(system.measurements) or any(not 0 <= s < len(system.state_units) for s in shown):
+    known = all(isinstance(s, int) and 0 <= s < len(system.state_units) for s in shown)
+    if len(shown) != len(system.measurements) or not known:
         raise DeclarationError(
             f"{who}: {len(system.measurements)} measurements, measured_states = {shown}, {len(system.state_units)} "
             "states: give the index of the state that each measurement shows"

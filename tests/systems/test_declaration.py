@@ -208,6 +208,7 @@ WRONG = [
     ({"measurements": (NOISELESS,)}, r"place has no noise; .* noise_sd=0.001 \[m\]"),
     ({"measurements": (MILLIMETRES,)}, "place is in mm, and the state .* in m"),
     ({"measurements": (PLACE, SPEED, SECOND)}, "3 measurements, measured_states"),
+    ({"measured_states": ("place",)}, "give the index of the state that each measurement shows"),
     ({"accelerations": None}, "Mine has no equations: write accelerations"),
     ({"accelerations": law(lambda p, motion: (motion.efforts[0] / p["mas"],))}, "fail .* KeyError: 'mas'"),
     ({"accelerations": law(lambda p, motion: motion.efforts[0])}, "are Tensor; return a tuple of 1 tensors"),
