@@ -187,6 +187,7 @@ def dose(kind: str, declared: Mapping[str, Any], system: System) -> dict[str, fl
         "scaled": {"factor": 1.5},
         "body_mass": {"factor": 1.5},
         "sensor_scale": {"factor": 1.1},
+        "sensor_crosstalk": {"share": 0.1},
         "channel_scale": {"factor": 1.1},
         "gain_curve": {"curvature": 2.0 * declared["curvature"].prior_sd} if "curvature" in declared else {},
         "gear_play": {"width": 2.0 * declared["width"].prior_sd} if "width" in declared else {},
