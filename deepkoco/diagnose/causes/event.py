@@ -10,6 +10,9 @@ from deepkoco.diagnose.causes.cause import Cause, Hint
 from deepkoco.diagnose.causes.tolerance import of_force_impulse, of_impulse
 from deepkoco.fit.simulate.push import LONGEST, SHORTEST, Push
 
+ADVICE = (
+    "Look at the video or the lab book at that time. Repeat the log and check whether the push occurs again."
+)
 STRETCHES = (0.4, 0.6, 0.8, 0.9, 1.1, 1.25, 1.6, 2.5)
 
 
@@ -35,7 +38,7 @@ EVENT = Cause(
     "event",
     ("torque", "start", "duration"),
     "Something outside pushed the joint for a short time.",
-    "Look at the video or the lab book at that time. Repeat the log and check whether the push occurs again.",
+    ADVICE,
     "time",
     lambda motion: np.zeros_like(motion.time),
     _starts,
@@ -50,7 +53,7 @@ BODY_PUSH = Cause(
     "event",
     ("x", "y", "z", "along", "start", "duration"),
     "Something outside pushed or pulled a body for a short time, which loads all joints between it and the base.",
-    "Look at the video or the lab book at that time. Repeat the log and check whether the push occurs again.",
+    ADVICE,
     "time",
     lambda motion: np.zeros_like(motion.time),
     _starts,
