@@ -18,7 +18,7 @@ SLIDER = """
 """
 
 
-def noisy_log():
+def noisy_log(step=0.0):
     t = np.arange(0.0, 12.0, 0.01)
     effort, place, speed = 3.0 * np.sin(2.0 * t), [0.0], 0.0
     for u in effort[:-1]:
@@ -26,6 +26,7 @@ def noisy_log():
         place.append(place[-1] + 0.01 * u / 4.0 + (speed - u / 4.0) * (1.0 - np.exp(-2.0 * 0.01)) / 2.0)
         speed = end
     noisy = np.array(place) + 1e-3 * np.random.default_rng(0).standard_normal(len(t))
+    noisy = step * np.round(noisy / step) if step else noisy
     return Recording(
         {"push": Series(t, effort, "N", "command"), "q_rail": Series(t, noisy, "m", "measurement")}
     )
@@ -43,3 +44,15 @@ def test_noise_is_compared_with_what_somebody_stated(tmp_path, noise, named):
     base = refit_to_logs(baseline_from(system, data.train), data)
     found = scatter_findings(base.start.system, base.train, base.reference, 24.0)
     assert [f.name for f in found] == named
+
+
+@pytest.mark.parametrize("stated", ["1.0e-4", "0.99999999e-4", "1.00000001e-4"])
+def test_noise_is_compared_where_somebody_stated_the_step_of_the_sensor_as_its_noise(tmp_path, stated):
+    # A step that is found from values differs in its last digits from the stated one.
+    (tmp_path / "slider.xml").write_text(SLIDER)
+    (tmp_path / "slider.parameters.yaml").write_text(f'noise: {{"q_rail": {stated}}}')
+    system = load_system(tmp_path / "slider.xml")
+    data = cut_data([noisy_log(1e-4)], [], system, window_length(system))
+    base = refit_to_logs(baseline_from(system, data.train), data)
+    found = scatter_findings(base.start.system, base.train, base.reference, 24.0)
+    assert [f.name for f in found] == ["noise_level(q_rail)"]

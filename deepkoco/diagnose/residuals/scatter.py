@@ -20,6 +20,7 @@ SPEC = 0.15  # relative uncertainty of the noise in a data sheet
 USUAL_JITTER = 1e-4  # of the stamps of a healthy log that a computer's clock stamps [s]
 FLOORS = np.geomspace(1e-3, 1.0, 60)  # share of a channel's variance that jitter does not explain
 COARSE = 1.0 + 2.0 * SPEC  # error of rounding, over the noise of the data sheet, from which rounding is named
+ROUNDED = 1.0 + 1e-6  # of a step that is known from values, over itself as someone stated it
 GRID_CHANCE = 0.1  # chance that one sample of a continuous channel lies within 5 % of a grid line
 
 
@@ -90,7 +91,7 @@ def noise_level(view: Scatter, channel: int) -> Verdict | None:
     # If the channel has a wrong unit, its noise has the same wrong unit.
     slip = view.fit.values.get(f"channel_slip({view.system.measurements[channel].name}).factor", 1.0)
     factor = found.sensor_sd / (declared * abs(slip) * math.sqrt(view.floor))
-    if factor <= 1.0 or _grid(view, channel) > declared * abs(slip):
+    if factor <= 1.0 or _grid(view, channel) > ROUNDED * declared * abs(slip):
         return None
     spread = math.hypot(SPEC, found.relative_sd)
     reach = math.exp(1.96 * found.relative_sd)
