@@ -17,7 +17,7 @@ Source: Spong, Modeling and Control of Elastic Joint Robots, Journal of Dynamic 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -105,6 +105,10 @@ class ElasticDrive(WrappedSystem):
     @property
     def longest_step(self) -> float:
         return min(self.base.longest_step, LONGEST_STEP)
+
+    def loads_of_push(self, place: int, along: Tensor, angles: Sequence[Tensor]) -> Tensor:
+        own = self.base.loads_of_push(place, along, angles[: self.own_joints])
+        return torch.cat([own, torch.zeros_like(own[:, :1]).expand(-1, len(self.driven), *own.shape[2:])], 1)
 
     def ideal_measurement(self, state: Tensor) -> Tensor:
         own, extra = self.own_joints, len(self.driven)

@@ -117,3 +117,11 @@ def test_a_text_that_is_no_table_has_no_format(tmp_path):
         open_log(tmp_path / "notes.dat")
     with pytest.raises(LogError, match="contains no log"):
         recordings([tmp_path])
+
+
+@pytest.mark.parametrize("comments", ["# made by X\n", "// made by X\n", "# made by X\n# on Monday\n"])
+@pytest.mark.parametrize("sign", ["", "# ", "// "])
+def test_comments_above_a_header_with_spaces_stay_comments(tmp_path, comments, sign):
+    log = read(tmp_path, f"{comments}{sign}t q /arm/u\n0 1 5\n1 2 6\n")
+    assert list(log.table("").frame.columns) == ["t", "q", "/arm/u"]
+    np.testing.assert_array_equal(log.values("", "q"), [1, 2])

@@ -20,6 +20,7 @@ from deepkoco.diagnose.evidence.footholds import trial_of
 from deepkoco.diagnose.evidence.priors import prior_with
 from deepkoco.diagnose.evidence.ranking import Candidate, Ranking
 from deepkoco.fit.fit import Fit, FitProblem, Trial
+from deepkoco.fit.simulate.push import QUIET, Push
 from deepkoco.fit.solve.levenberg_marquardt import TOLERANCE
 
 LEADERS = 3  # candidates whose optimum is a start
@@ -81,7 +82,10 @@ def crossed(
             {
                 **leader.fit.values,
                 **{n: start.values[n] for n in leader.cause.free},
+                **(QUIET if leader.cause.effect == "event" else {}),
                 **{n: other.fit.values[n] for n in other.cause.free},
+                # Log and place of a push are not free.
+                **({n: other.fit.values[n] for n in Push.NAMES} if other.cause.effect == "event" else {}),
             }
         ]
     ]

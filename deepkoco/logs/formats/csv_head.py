@@ -35,16 +35,16 @@ class Head(NamedTuple):
 def read_head(text: str) -> Head:
     """Take comments above the header away, put a row of units into the names, and read spaces as tabs."""
     lines = text.split("\n")
-    if spaced := _spaced(lines):
-        # The comments above a header stay comments.
-        signs = [
-            line[0] if line.startswith(COMMENT) and lines[1].startswith(COMMENT) else "" for line in lines
-        ]
-        cells = ["\t".join(line.lstrip("#%/").split()) if line.strip() else line for line in lines]
-        lines = [f"{sign}{line}" for sign, line in zip(signs, cells, strict=True)]
+    spaced = _spaced(lines)
+    if spaced is not None:
+        # The comments above the header stay as they are; so does the sign of a header below them.
+        sign = "#" if spaced > 0 and lines[spaced].startswith(COMMENT) else ""
+        below = ["\t".join(line.split()) if line.strip() else line for line in lines[spaced + 1 :]]
+        header = "\t".join(_without_sign(lines[spaced]).split())
+        lines = [*lines[:spaced], f"{sign}{header}", *below]
         text = "\n".join(lines)
     ahead, notes = _comments(lines)
-    notes += ["read spaces as the separators of the columns"] if spaced else []
+    notes += ["read spaces as the separators of the columns"] if spaced is not None else []
     if ahead < 0:
         return Head(text, 0, tuple(notes))
     header, rest = lines[ahead].strip(), lines[ahead + 1 :]
@@ -98,18 +98,24 @@ def looks_like_table(path: Path) -> bool:
     )
 
 
-def _spaced(lines: list[str]) -> bool:
-    """Whether spaces alone stand between the names of the header, and between as many numbers of the line below it.
+def _spaced(lines: list[str]) -> int | None:
+    """Index of the header where spaces alone stand between its names, and between as many numbers of the line below it.
 
-    The header is the first line, or the last one of the comments above the numbers.
+    The header is the first line that is no comment, or the last one of the comments above the numbers.
     """
     first = next((k for k, line in enumerate(lines) if line.strip() and not line.startswith(COMMENT)), 0)
     header = first - 1 if first > 0 and _numeric(lines[first].split()) else first
     both = lines[header : header + 2]
     if len(both) < 2 or any(delimiter in line for line in both for delimiter in DELIMITERS):
-        return False
-    names, numbers = both[0].lstrip("#%/").split(), both[1].split()
-    return len(names) > 1 and len(names) == len(numbers) and _numeric(numbers) and not _numeric(names)
+        return None
+    names, numbers = _without_sign(both[0]).split(), both[1].split()
+    fits = len(names) > 1 and len(names) == len(numbers) and _numeric(numbers) and not _numeric(names)
+    return header if fits else None
+
+
+def _without_sign(line: str) -> str:
+    """A line without the sign of a comment at its beginning."""
+    return re.sub(r"^(#|%|//)+\s*", "", line)
 
 
 def _comments(lines: list[str]) -> tuple[int, list[str]]:

@@ -129,8 +129,9 @@ def _is_log(file: Path) -> bool:
 
 def _is_copy(file: Path) -> bool:
     """Whether a file of arrays has the name of another log beside it, of which it is an export."""
-    tables = [suffix for suffix in SUFFIXES if suffix not in ARRAYS]
-    return any(file.with_suffix(suffix).is_file() for suffix in tables)
+    tables = [suffix for suffix in (*SUFFIXES, *TEXTS) if suffix not in ARRAYS]
+    beside = (file.with_suffix(suffix) for suffix in tables)
+    return any(other.is_file() and (other.suffix not in TEXTS or looks_like_table(other)) for other in beside)
 
 
 def _chosen(path: Path, found: Sequence[Path], episodes: Collection[int] | None) -> list[Path]:

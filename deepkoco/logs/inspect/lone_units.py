@@ -95,7 +95,8 @@ def with_units_held(system: System, proposal: Proposal, samples: Mapping[str, Sa
     """
     shown, positions = _shown(system, proposal), _positions(system, proposal)
     drives = [c for c in proposal.choices if c.channel.kind == "command" and c.column is not None]
-    free = [c for c in shown if c is not None and not c.stated]
+    # A speed follows from its position, where it is its derivative without a factor.
+    free = [c for c in shown if c is not None and not c.stated and abs(c.scale) == 1.0]
     efforts = [
         c
         for c in drives
@@ -107,6 +108,8 @@ def with_units_held(system: System, proposal: Proposal, samples: Mapping[str, Sa
         return proposal
     groups = [[c for c in free if c in positions and c.unit == unit] for unit in ("rad", "m")]
     groups = [group for group in groups if group]
+    if not (groups or efforts):
+        return proposal
     tried = [UNITS[parse_unit(group[0].unit).quantity] for group in groups]
     found: dict[tuple[tuple[str, ...], float], float] = {}
     powers = (1.0, 1e-3, 1e3) if efforts else (1.0,)

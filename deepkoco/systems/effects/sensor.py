@@ -99,7 +99,8 @@ def _low_pass(system: System, _: int = 0) -> tuple[Parameter, ...]:
 
 def _sensor_crosstalk(system: System, pair: int = 0) -> tuple[Parameter, ...]:
     source, joint = system.shown_pairs[pair]
-    per = "1" if system.state_units[source] == system.state_units[joint] else "rad/m or m/rad"
+    units = system.state_units[joint], system.state_units[source]
+    per = "1" if units[0] == units[1] else f"{units[0]}/{units[1]}"
     text = "c_s, reading of this joint per position of that"
     return (Parameter("share", 0.0, per, -1.0, 1.0, 0.1, text),)
 

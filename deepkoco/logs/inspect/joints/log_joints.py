@@ -189,8 +189,15 @@ def role_of(column: ColumnSurvey) -> tuple[str | None, str]:
         return role, label
     quantity = parse_unit(column.hints.unit).quantity
     symbol, _, rest = label.partition("_")
-    if rest and symbol in SYMBOLS.get(quantity, ()):
-        label = rest  # `n_soll Lift [1/min]` is of the lift
+    words = words_of(column.name)
+    # `n_soll Lift [1/min]` is of the lift, and `m_left_torque [Nm]` of a joint m_left.
+    if (
+        rest
+        and symbol in SYMBOLS.get(quantity, ())
+        and words[0] == symbol
+        and words[1] in GOAL | MEASURED | {"ist"}
+    ):
+        label = rest
     if role != "goal":
         return role, label
     return {**dict.fromkeys(SPEEDS, "goal speed"), **dict.fromkeys(EFFORTS, "goal effort")}.get(
