@@ -376,7 +376,7 @@ def _check_header(log: LogFile, column: Column) -> None:
     except UnitError:
         return  # brackets in a header can contain other text than a unit
     wanted = parse_unit(column.unit)
-    if wanted.si == "1" and stated.si != "1":
+    if wanted == parse_unit("1") and stated.si != "1":
         return  # a number that an actuator takes, such as that of its current
     if stated != wanted:
         raise LogError(

@@ -22,10 +22,11 @@ def positions_at(windows: Windows, system: System, window: np.ndarray, time: np.
         time: (K,) times after its start [s].
     """
     result = windows.state[torch.from_numpy(window), : system.joints].T.clone()
-    shown = {state: c for c, state in enumerate(windows.shows) if state < system.joints}
+    # Of several channels of a joint, the first that has samples in the window.
+    shown = [(joint, c) for c, joint in enumerate(windows.shows) if joint < system.joints][::-1]
     for w in np.unique(window):
         mine = window == w
-        for joint, c in shown.items():
+        for joint, c in shown:
             valid = windows.valid[w, c].numpy()
             if valid.any():
                 at = np.interp(time[mine], windows.t[w, c].numpy()[valid], windows.value[w, c].numpy()[valid])

@@ -100,9 +100,7 @@ def push_torque(windows: Windows, push: np.ndarray, system: System) -> Tensor | 
             along = torch.from_numpy(own["event.along"][lanes])
             positions = positions_at(windows, system, w, (k + 0.5) * windows.step)
             loads = system.loads_of_push(int(index), along[:, None], positions.unbind(0))  # (3, J, l, K)
-            given = (forces[:, None, :, None] * loads).sum(0) * torch.from_numpy(
-                share[np.ix_(lanes)][:, w, k]
-            )
+            given = (forces[:, None, :, None] * loads).sum(0) * torch.from_numpy(share[lanes][:, w, k])
             for j in range(system.joints):
                 result[j][torch.from_numpy(lanes)[:, None], torch.from_numpy(w), torch.from_numpy(k)] += (
                     given[j]
