@@ -20,6 +20,7 @@ from deepkoco.fit.simulate.push import Push, push_torque
 from deepkoco.fit.simulate.simulator import is_compiled, predict
 from deepkoco.fit.solve.encoder_zeros import EncoderZeros
 from deepkoco.fit.solve.nuisances import Nuisances
+from deepkoco.fit.threads import at_once
 from deepkoco.systems import ExtendedSystem, Parameter, System
 from deepkoco.systems.effects.effect import PlacedEffect
 
@@ -28,6 +29,9 @@ from deepkoco.systems.effects.effect import PlacedEffect
 MEASUREMENTS = 1 << 21
 # As many times more where torch takes the steps: each operation of a step has a cost of its own, whatever its size.
 IN_TORCH = 8
+# Of a batch, the measurements and the steps of single joints that one thread simulates: some 0.1 s.
+MEASUREMENTS_EACH = 1 << 20
+JOINT_STEPS_EACH = 1 << 20
 SENSING_RANGE = 0.1  # longest delay of one channel [s]
 
 
@@ -71,22 +75,38 @@ class ShootingProblem:
     @property
     def most_lanes(self) -> int:
         """Largest number of lanes that are simulated in one batch."""
-        most = MEASUREMENTS * (1 if self._compiled else IN_TORCH)
+        most = MEASUREMENTS * (1 if self.compiled else IN_TORCH)
         return max(most // max(self.windows.value.numel(), 1), 1)
 
+    @property
+    def lanes_each(self) -> int:
+        """Number of lanes that one thread simulates."""
+        if not self.compiled:
+            # Equations of a user's class may keep something from call to call.
+            return self.most_lanes
+        steps = len(self.windows) * self.windows.steps * self.system.joints
+        measurements = self.windows.value.numel()
+        return max(min(JOINT_STEPS_EACH // max(steps, 1), MEASUREMENTS_EACH // max(measurements, 1)), 1)
+
     @cached_property
-    def _compiled(self) -> bool:
+    def compiled(self) -> bool:
+        """Whether a compiled loop or bytecode takes the steps; else torch does."""
         return is_compiled(self.system.base, self.windows.step)
 
     def predict(self, theta: np.ndarray, initial: Tensor, nuisance: Tensor) -> Tensor:
         """Simulate measurements (L, W, N, M) for L lanes of parameters (L, P), states (L, W, S), nuisances (L, z)."""
-        most = self.most_lanes
+        most = self.lanes_each
         if len(theta) <= most:
             return self._predict(theta, initial, nuisance)
         result = torch.empty(len(theta), *self.windows.value.shape, dtype=torch.float64)
         parts = np.array_split(np.arange(len(theta)), math.ceil(len(theta) / most))
-        for at, end in ((int(part[0]), int(part[-1]) + 1) for part in parts):
+        self.null_values()  # all threads use them
+
+        def simulate(k: int) -> None:
+            at, end = int(parts[k][0]), int(parts[k][-1]) + 1
             result[at:end] = self._predict(theta[at:end], initial[at:end], nuisance[at:end])
+
+        at_once(simulate, len(parts), alone=not self.compiled)
         return result
 
     def _predict(self, theta: np.ndarray, initial: Tensor, nuisance: Tensor) -> Tensor:

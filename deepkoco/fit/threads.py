@@ -1,23 +1,53 @@
-"""Limit the threads of torch while many small tensors are computed."""
+"""Threads of a fit: one for torch, several for simulations."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from contextvars import ContextVar
 
 import torch
+
+_pool: ContextVar[ThreadPoolExecutor | None] = ContextVar("simulations", default=None)
 
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Let torch use one thread inside the context; afterwards it uses as many as before.
+    """Let torch use one thread inside the context, and simulations as many as torch had; afterwards all is as before.
 
-    The tensors of a fit are small, so a second thread does not make it faster. On a machine with busy cores, several
-    threads made a diagnosis ten times slower.
+    The tensors of a fit are small, so a second thread does not make an operation of torch faster. On a machine with
+    busy cores, several threads made a diagnosis ten times slower: each operation waits for the slowest of them.
+    Simulations are long and wait for each other once. With ``OMP_NUM_THREADS=1`` there is one thread.
     """
     before = torch.get_num_threads()
+    if before == 1 or _pool.get() is not None:
+        yield
+        return
     torch.set_num_threads(1)
     try:
-        yield
+        with ThreadPoolExecutor(before, "simulation", torch.set_num_threads, (1,)) as pool:
+            token = _pool.set(pool)
+            try:
+                yield
+            finally:
+                _pool.reset(token)
     finally:
         torch.set_num_threads(before)
+
+
+def at_once(call: Callable[[int], None], count: int, alone: bool = False) -> None:
+    """Make ``count`` calls, inside :func:`one_thread` several at once.
+
+    Args:
+        call: Takes the number of the call. Calls must not depend on each other.
+        count: How many.
+        alone: Whether to make one call after the other.
+    """
+    pool = _pool.get()
+    if pool is None or alone or count == 1:
+        for k in range(count):
+            call(k)
+    else:
+        for _ in pool.map(call, range(count)):
+            pass

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
+from deepkoco.diagnose.residuals.loaded import under_loads
 from deepkoco.diagnose.residuals.residuals import (
     SLOTS,
     SMOOTHING_SLOTS,
@@ -23,7 +24,6 @@ from deepkoco.diagnose.residuals.residuals import (
 from deepkoco.diagnose.verdict.findings import motion_of
 from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.fit.simulate.push import Push
-from deepkoco.fit.simulate.simulator import predict
 
 FEATURES = 60  # cosines of each joint
 SMOOTH = 0.7  # correlation length of the function of the motion, in half ranges of the log
@@ -37,6 +37,7 @@ def slot_responses(problem: FitProblem, fit: Fit) -> np.ndarray:
         problem: The windows.
         fit: The point of linearisation.
     """
+    problem = problem.with_usual_steps  # responses are differences of simulations
     windows, system = problem.windows, problem.system
     joints, lanes = system.joints, 1 + system.joints * SLOTS
     edges = np.linspace(0, windows.steps, SLOTS + 1).round().astype(int)
@@ -50,9 +51,8 @@ def slot_responses(problem: FitProblem, fit: Fit) -> np.ndarray:
     }
     had = push_of(problem, theta)
     initial = fit.state[None].repeat(lanes, 1, 1)
-    predicted = predict(
-        acting_system(problem, fit), windows, named, initial, push if had is None else push + had
-    )
+    push = push if had is None else push + had
+    predicted = under_loads(problem, acting_system(problem, fit), named, initial, push)
     moved = ((predicted[1:] - predicted[0]) * problem.weight / DOSE).reshape(lanes - 1, len(windows), -1)
     # Where a load makes the simulation diverge, the window says nothing of it.
     moved = torch.where(torch.isfinite(moved).all(-1, keepdim=True), moved, 0.0)

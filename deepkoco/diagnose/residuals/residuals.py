@@ -10,13 +10,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from deepkoco.diagnose.residuals.loaded import under_loads
 from deepkoco.diagnose.residuals.waves import Waves
 from deepkoco.fit.data.per_log_differences import effects_in
 from deepkoco.fit.data.positions import positions_at
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.fit.simulate.push import Push, push_torque
-from deepkoco.fit.simulate.simulator import predict, trajectories
+from deepkoco.fit.simulate.simulator import trajectories
 from deepkoco.fit.solve.dispersion import Dispersion, dispersion
 from deepkoco.systems import ExtendedSystem
 
@@ -171,7 +172,8 @@ def missing_torque(problem: FitProblem, fit: Fit, inflation: float = 1.0) -> tup
     Returns:
         The missing load of each joint.
     """
-    problem, fit = problem.as_fitted(fit)
+    exact, fit = problem.as_fitted(fit)
+    problem = exact.with_usual_steps  # responses are differences of simulations
     windows, system = problem.windows, problem.system
     joints, states = system.joints, fit.state.shape[1]
     edges = np.linspace(0, windows.steps, SLOTS + 1).round().astype(int)
@@ -192,7 +194,7 @@ def missing_torque(problem: FitProblem, fit: Fit, inflation: float = 1.0) -> tup
     }
     base = acting_system(problem, fit)
     had = push_of(problem, theta)
-    predicted = predict(base, windows, named, initial, push if had is None else push + had)
+    predicted = under_loads(problem, base, named, initial, push if had is None else push + had)
     slope = ((predicted[1:] - predicted[0]) * problem.weight).reshape(lanes - 1, len(windows), -1)
     # Where a load, or a change of the state, makes the simulation diverge, the window says nothing of it.
     slope = torch.where(torch.isfinite(slope).all(-1, keepdim=True), slope, 0.0)
@@ -214,7 +216,8 @@ def missing_torque(problem: FitProblem, fit: Fit, inflation: float = 1.0) -> tup
         torch.block_diag(*(root * scale for scale in system.load_scales)),
     )
     at = (edges[:-1] + edges[1:]) // 2
-    path = _path(problem, base, named, fit.state)
+    whole = _path(exact, base, named, fit.state)
+    path = whole[:: exact.windows.steps // windows.steps]
     together = None
     if system.push_places:
         count, shape = len(windows), (len(windows), joints, SLOTS)
@@ -240,7 +243,7 @@ def missing_torque(problem: FitProblem, fit: Fit, inflation: float = 1.0) -> tup
             (match / energy.clamp_min(1e-300)).numpy()[:, mine],
             system.joint_names[j],
             together,
-            Waves(problem, fit, base, j, path[:, :, j], had),
+            Waves(exact, fit, base, j, whole[:, :, j]),
         )
         result.append(found)
     return tuple(result)
@@ -249,9 +252,8 @@ def missing_torque(problem: FitProblem, fit: Fit, inflation: float = 1.0) -> tup
 def waves_of(problem: FitProblem, fit: Fit, joint: int) -> Waves:
     """Return what loads that repeat along the way of a joint do and explain at a fit."""
     problem, fit = problem.as_fitted(fit)
-    theta = np.array([fit.values[n] for n in problem.names])
     path = modelled_path(problem, fit)[:, :, joint]
-    return Waves(problem, fit, acting_system(problem, fit), joint, path, push_of(problem, theta))
+    return Waves(problem, fit, acting_system(problem, fit), joint, path)
 
 
 def modelled_path(problem: FitProblem, fit: Fit) -> np.ndarray:

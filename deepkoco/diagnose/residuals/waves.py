@@ -9,10 +9,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from deepkoco.diagnose.residuals.loaded import under_loads
 from deepkoco.fit.data.halves import halved
 from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.fit.simulate.push import Push, push_torque
-from deepkoco.fit.simulate.simulator import predict, trajectories
+from deepkoco.fit.simulate.simulator import trajectories
 from deepkoco.systems import ExtendedSystem
 
 LANES = 160  # simulations in one batch
@@ -34,7 +35,6 @@ class Waves(NamedTuple):
         system: The simulation at the fit.
         joint: The joint.
         path: (n + 1, W) its simulated positions at the nodes [rad or m].
-        pushed: (J, 1, W, n) load that the fit has already; None without.
     """
 
     problem: FitProblem
@@ -42,7 +42,6 @@ class Waves(NamedTuple):
     system: ExtendedSystem
     joint: int
     path: np.ndarray
-    pushed: Tensor | None
 
     def shown_path(self) -> np.ndarray:
         """Return the positions (W, n + 1) that the sensor shows, or the simulated ones where none shows the joint."""
@@ -70,12 +69,8 @@ class Waves(NamedTuple):
         fit = problem.evaluate(self.fit.values)
         if fit.diverged:
             return None
-        theta = np.array([fit.values[n] for n in problem.names])
-        pushed = push_torque(windows, theta[None, -len(Push.NAMES) :], problem.system)
         states, _, _ = trajectories(self.system, windows, self._named(), fit.state[None])
-        return self._replace(
-            problem=problem, fit=fit, path=states[:, 0, :, self.joint].numpy(), pushed=pushed
-        )
+        return self._replace(problem=problem, fit=fit, path=states[:, 0, :, self.joint].numpy())
 
     def _named(self) -> dict[str, Tensor]:
         values, names = self.fit.values, self.problem.names
@@ -87,12 +82,11 @@ class Waves(NamedTuple):
         Args:
             numbers: (K,) wave numbers k [1/rad or rad/m].
         """
-        path = torch.from_numpy(self.shown_path())
-        middle = 0.5 * (path[:, 1:] + path[:, :-1])
+        middle = self._middle()
         unit = UNIT * self.problem.system.load_scales[self.joint]
         states = self._responses([], self.fit.state.shape[1])
         basis, _ = torch.linalg.qr((states / TINY).permute(1, 2, 0))
-        residual = self.fit.residual.reshape(len(path), -1, 1)
+        residual = self.fit.residual.reshape(len(middle), -1, 1)
         residual = residual - basis @ (basis.mT @ residual)
         falls, sizes = [], []
         each = LANES // 2
@@ -117,8 +111,7 @@ class Waves(NamedTuple):
             sizes: (D, 3) pitch, a and b of each.
             had: (3,) those that the fit has.
         """
-        path = torch.from_numpy(self.shown_path())
-        middle = 0.5 * (path[:, 1:] + path[:, :-1])
+        middle = self._middle()
 
         def load(pitch: float, a: float, b: float) -> Tensor:
             phase = 2.0 * math.pi / pitch * middle
@@ -128,9 +121,16 @@ class Waves(NamedTuple):
         loads = [load(*size) - base for size in sizes.tolist()]
         return torch.cat([self._responses(loads[at : at + LANES], 0) for at in range(0, len(loads), LANES)])
 
+    def _middle(self) -> Tensor:
+        """Return the positions (W, n) in the middle of each usual step."""
+        path = torch.from_numpy(self.shown_path())
+        path = path[:, :: self.problem.windows.steps // self.problem.with_usual_steps.windows.steps]
+        return 0.5 * (path[:, 1:] + path[:, :-1])
+
     def _responses(self, loads: list[Tensor], states: int) -> Tensor:
         """Return the whitened changes (D, W, CN) by loads (W, n) on the joint, then by each initial state."""
-        problem, windows = self.problem, self.problem.windows
+        problem = self.problem.with_usual_steps
+        windows = problem.windows
         joints, lanes = problem.system.joints, 1 + len(loads) + states
         push = torch.zeros(joints, lanes, len(windows), windows.steps, dtype=torch.float64)
         for lane, load in enumerate(loads):
@@ -138,7 +138,9 @@ class Waves(NamedTuple):
         initial = self.fit.state[None].repeat(lanes, 1, 1)
         for s in range(states):
             initial[1 + len(loads) + s, :, s] += TINY
-        push = push if self.pushed is None else push + self.pushed
-        predicted = predict(self.system, windows, self._named(), initial, push)
+        theta = np.array([self.fit.values[n] for n in problem.names])
+        pushed = push_torque(windows, theta[None, -len(Push.NAMES) :], problem.system)
+        push = push if pushed is None else push + pushed
+        predicted = under_loads(problem, self.system, self._named(), initial, push)
         change = ((predicted[1:] - predicted[0]) * problem.weight).reshape(lanes - 1, len(windows), -1)
         return torch.where(torch.isfinite(change).all(-1, keepdim=True), change, 0.0)
