@@ -44,7 +44,7 @@ LEAST = 8.0  # fall of the penalty from which a point is worth a fit
 
 
 def cheapest_in_valley(
-    problem: FitProblem, reference: Fit, prior: Prior, causes: Sequence[Cause]
+    problem: FitProblem, reference: Fit, prior: Prior, causes: Sequence[Cause], least: float = 0.0
 ) -> list[StartPoint]:
     """Return starts of causes that move the measurements as the refit does and leave its parameters near their priors.
 
@@ -53,9 +53,10 @@ def cheapest_in_valley(
         reference: The refit.
         prior: Prior of its parameters.
         causes: Those of which a start is asked.
+        least: Fall of the penalty that a start needs; no more than the whole penalty can fall.
     """
-    base = problem.system.base
-    if reference.penalty < LEAST or problem.nuisances.varies or not isinstance(base, TreeSystem):
+    base, least = problem.system.base, max(least, LEAST)
+    if reference.penalty <= least or problem.nuisances.varies or not isinstance(base, TreeSystem):
         return []
     motion, found = _motion_of(problem.windows, base.joints, len(base.commands)), []
     if motion is None:
@@ -64,8 +65,8 @@ def cheapest_in_valley(
         placed = next((e for e in problem.system.effects if e.name == cause.effect), None)
         if placed is None or placed.effect.site not in ("place", "body"):
             continue
-        point = _Valley(problem, reference, prior, cause, placed, motion).cheapest()
-        if point.promise > LEAST:
+        point = _Valley(problem, reference, prior, cause, placed, motion).cheapest(least)
+        if point is not None:
             found.append(point)
     return found
 
@@ -103,8 +104,11 @@ class _Valley:
         slopes = self._slopes(self.here, self._needed)[:, : len(free)]
         self.told = _root(information) @ np.linalg.pinv(slopes, rcond=FAINT)
 
-    def cheapest(self) -> StartPoint:
-        """Return the cheapest point, with the fall of the penalty as its promise."""
+    def cheapest(self, least: float) -> StartPoint | None:
+        """Return the cheapest point, with the fall of the penalty as its promise; None where that is not enough.
+
+        Where more of what the log tells counts, the cost is no lower.
+        """
         low, high = self.low / self.spread, self.high / self.spread
         x, cost = self.here / self.spread, np.inf
         for k, name in enumerate(self.names):
@@ -120,6 +124,8 @@ class _Valley:
                 max_nfev=EVALUATIONS,
             )
             x, cost = found.x, 2.0 * float(found.cost)
+            if self.reference.penalty - cost <= least:
+                return None
         values = dict(zip(self.names, map(float, x * self.spread), strict=True))
         return StartPoint(self.cause, values, self.reference.penalty - cost)
 

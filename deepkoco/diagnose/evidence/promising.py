@@ -9,6 +9,7 @@ from deepkoco.diagnose.evidence.screening import WORTH, StartPoint
 MIN_OF_BEST_CAUSE = 0.2  # share of the largest promise of all causes from which a cause is fitted
 MIN_OF_BEST_START = 0.3  # share of a cause's largest promise that its further starts need
 STARTS = 3  # largest number of starts of one cause
+SEARCHED = 10  # the same of a cause that is searched in time
 # With many parameters, causes of each joint (and as many without a joint) that are fitted: a cause at a joint shows
 # mostly in the motion of that joint, and the score test orders those of one joint well.
 PER_PLACE = 4
@@ -23,14 +24,20 @@ def largest_promises(promises: Sequence[StartPoint]) -> dict[str, float]:
 
 
 def promising_starts(promises: Sequence[StartPoint]) -> list[StartPoint]:
-    """Return the starts that are fitted: the best starts of each cause whose promise is large enough."""
+    """Return the starts that are fitted: the best starts of each cause whose promise is large enough.
+
+    A push is tried at several times, each of which may lead to a minimum of its own. Only a fit tells which one: a push
+    that explains one window promises more than the longer one, a little too early, that explains three.
+    """
     best = largest_promises(promises)
     bar = max(WORTH, MIN_OF_BEST_CAUSE * max(best.values(), default=0.0))
     kept: dict[str, list[StartPoint]] = {}
     for p in sorted(promises, key=lambda p: -p.promise):
         own = kept.setdefault(p.cause.name, [])
-        enough = best[p.cause.name] >= bar and p.promise >= MIN_OF_BEST_START * best[p.cause.name]
-        if enough and len(own) < STARTS:
+        worth, most = MIN_OF_BEST_START * best[p.cause.name], STARTS
+        if p.cause.searched:
+            worth, most = WORTH, SEARCHED
+        if best[p.cause.name] >= bar and p.promise >= worth and len(own) < most:
             own.append(p)
     return [p for own in kept.values() for p in own]
 

@@ -13,7 +13,6 @@ from deepkoco.fit.simulate.push import AXES, LONGEST
 from deepkoco.systems import Parameter, System
 from deepkoco.systems.motion import PushPlace
 
-STRIDE = 4  # slots between the places in a window at which a longer push is tried to begin and to end
 WIDTHS = (1, 2, 3, 4, 6)  # durations of a push at its starts, in slots
 
 
@@ -78,10 +77,13 @@ def _at(system: System, index: int, place: PushPlace, missing: MissingTorque) ->
     return [push for _, push in best.values()]
 
 
-def _best(slope: np.ndarray, curvature: np.ndarray) -> tuple[int, int, np.ndarray, float]:
-    """Indices of the entry (m, n, A) that falls most, with its force and its fall."""
+def _best(
+    slope: np.ndarray, curvature: np.ndarray, allowed: np.ndarray | None = None
+) -> tuple[int, int, np.ndarray, float]:
+    """Indices of the entry (m, n, A) that falls most, with its force and its fall; of those (m, n) that are allowed."""
     force = np.linalg.solve(curvature, slope[..., None])[..., 0]
     fall = (slope * force).sum(-1)
+    fall = fall if allowed is None else np.where(allowed, fall, -np.inf)
     i, k = np.unravel_index(int(np.argmax(fall)), fall.shape)
     return int(i), int(k), force[i, k], float(fall[i, k])
 
@@ -105,7 +107,7 @@ def _over(
 ) -> Iterator[Run]:
     """From a slot of one window of a log to a slot of a later one, through what is between them."""
     slots = slope.shape[1]
-    ends = np.arange(0, slots, STRIDE)
+    ends = np.arange(slots)
     tail_g, tail_h = _parts(slope, curvature, [slice(k, None) for k in ends])
     head_g, head_h = _parts(slope, curvature, [slice(0, slots - k) for k in ends])
     g, h = slope.sum(1), curvature.sum((1, 3))
@@ -115,15 +117,16 @@ def _over(
         between = np.zeros_like(g[0]), np.zeros_like(h[0])
         for number, last in enumerate(order[at + 1 :], 2):
             whole = float(begin[last] - begin[first]) + slots * missing.slot
-            if missing.log[last] != missing.log[first] or whole > LONGEST:
+            lasts = whole - (ends[:, None] + ends) * missing.slot
+            if missing.log[last] != missing.log[first] or lasts.min() > LONGEST:
                 break
             i, k, force, fall = _best(
                 tail_g[:, None, first] + between[0] + head_g[None, :, last],
                 tail_h[:, None, first] + between[1] + head_h[None, :, last] + prior,
+                lasts <= LONGEST,
             )
             start = float(begin[first] + ends[i] * missing.slot)
-            duration = whole - float(ends[i] + ends[k]) * missing.slot
-            yield Run((0, number), float(missing.log[first]), start, duration, force, fall)
+            yield Run((0, number), float(missing.log[first]), start, float(lasts[i, k]), force, fall)
             between = between[0] + g[last], between[1] + h[last]
 
 

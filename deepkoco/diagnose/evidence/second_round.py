@@ -65,18 +65,18 @@ def can_gain(
 
 
 def promising_there(here: Sequence[StartPoint], there: Sequence[StartPoint]) -> list[StartPoint]:
-    """Return starts of the causes that promise something at both points: the best at each.
+    """Return starts of the causes that promise something at both points: the best at each, and all of a push.
 
     Args:
         here: Starts that promise most at the refit.
         there: Starts that promise most at the values as given, the best first.
     """
     names = {p.cause.name for p in there}
-    found: dict[tuple[str, bool], StartPoint] = {}
+    found: dict[tuple[str, bool, int], StartPoint] = {}
     for at_refit, points in ((True, sorted(here, key=lambda p: -p.promise)), (False, there)):
-        for p in points:
+        for k, p in enumerate(points):
             if p.cause.name in names and any(q.cause.name == p.cause.name for q in here):
-                found.setdefault((p.cause.name, at_refit), p)
+                found.setdefault((p.cause.name, at_refit, k if p.cause.searched else 0), p)
     distinct: list[StartPoint] = []
     for p in found.values():
         if not any(q.cause.name == p.cause.name and q.values == p.values for q in distinct):

@@ -28,6 +28,8 @@ from deepkoco.diagnose.evidence.freed_positions import with_freed_positions
 from deepkoco.diagnose.evidence.natural_shapes import with_natural_shapes
 from deepkoco.diagnose.evidence.priors import prior_with, strained
 from deepkoco.diagnose.evidence.promising import (
+    MIN_OF_BEST_CAUSE,
+    MIN_OF_BEST_START,
     WORTH,
     best_of_each_place,
     largest_promises,
@@ -39,7 +41,7 @@ from deepkoco.diagnose.evidence.second_round import can_gain, promising_there, w
 from deepkoco.diagnose.evidence.slips import HOPELESS, slipped
 from deepkoco.diagnose.evidence.start_values import Hints
 from deepkoco.diagnose.progress import in_company_of
-from deepkoco.diagnose.residuals.residuals import SLOTS, dispersion
+from deepkoco.diagnose.residuals.residuals import SLOTS, dispersion, missing_torque
 from deepkoco.diagnose.time_limit import TimeLimit
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.simulate.push import Push
@@ -100,8 +102,8 @@ def rank(
     prior = prior_with(problem, start, accepted, reference.values)
     tangent = Linearised(problem, reference, prior)
     promises = screen(problem, reference, prior, [pair for pair in listed if pair[0].free], tangent)
-    valley = cheapest_in_valley(problem, reference, prior, tried)
-    promises += valley
+    least = MIN_OF_BEST_CAUSE * MIN_OF_BEST_START * max(largest_promises(promises).values(), default=0.0)
+    promises += cheapest_in_valley(problem, reference, prior, tried, least)
     promising = promising_starts(promises)
     many = len(reference.free) + problem.windows.state.shape[1] >= MANY
     if many:
@@ -155,8 +157,9 @@ def rank(
         far_away = can_gain(start, problem.windows, reference, best, tried, most, wanted)
     if far_away and limit is not None:
         far_away = limit.allows(f"fits of causes from the values as given{in_company_of(names)}")
-    there = _screened_as_given(problem, start, reference, prior, listed) if far_away else []
-    if far_away and (promising or there):
+    given = _as_given(problem, start, reference) if far_away else None
+    there = [] if given is None else _screened_there(problem, given, prior, tried, listed, hints)
+    if given is not None and (promising or there):
         # A strong cause drives the refit far from the true parameters, and fits return slowly from there. So each
         # cause is also fitted from the baseline's values before the refit, with initial states fitted to each start.
         also = {p.cause.name for p in promising}
@@ -168,23 +171,27 @@ def rank(
             kept = promising_there(promising, there)
             held = [(p.cause.name, p.values) for p in kept]
             promising = [*kept, *(p for p in underrated if (p.cause.name, p.values) not in held)]
+        else:
+            held = [(p.cause.name, p.values) for p in promising]
+            also_there = [p for p in there if p.cause.searched and p.cause.name in also]
+            promising = [*promising, *(p for p in also_there if (p.cause.name, p.values) not in held)]
         promises += far
         from_given = [*promising, *far]
-        before = {n: start.values[n] for n in start.prior.names}
-        values = [{**reference.values, **before, **p.values} for p in from_given]
+        values = [{**given.values, **p.values} for p in from_given]
         stuck = {name for name, fit in fits.items() if fit.stuck or fit.diverged}
-        foot = {**reference.values, **before}
-        state, cost = problem.fit_states(foot, reference.state)
-        known = problem.slopes_at(foot, reference.free, state, reference.nuisance) if sharing else None
-        if bool(torch.isfinite(cost).all()):
-            footholds = [
-                trial_of(problem, start, accepted, p.cause, values[k], state, reference)
-                for k, p in enumerate(from_given)
-            ]
-            footholds = alone(problem, footholds, from_given, known, ITERATIONS if sharing else ALONE)
-            trials += footholds
-            # These starts are fitted to the end by themselves: in the first iterations the others look better.
-            fits = _lower_ones(fits, fit_best(problem, footholds, reference, known, worth))
+        known = (
+            problem.slopes_at(given.values, reference.free, given.state, reference.nuisance)
+            if sharing
+            else None
+        )
+        footholds = [
+            trial_of(problem, start, accepted, p.cause, values[k], given.state, reference)
+            for k, p in enumerate(from_given)
+        ]
+        footholds = alone(problem, footholds, from_given, known, ITERATIONS if sharing else ALONE)
+        trials += footholds
+        # These starts are fitted to the end by themselves: in the first iterations the others look better.
+        fits = _lower_ones(fits, fit_best(problem, footholds, reference, known, worth))
         # Where whole windows led to no minimum, another start of the same windows may end in a false one.
         hard = [k for k, p in enumerate(from_given) if p.cause.name in stuck or p.cause.name not in fits]
         if hard and not sharing:
@@ -239,29 +246,63 @@ def _lower_ones(fits: Mapping[str, Fit], others: Mapping[str, Fit]) -> dict[str,
     return {**fits, **{n: f for n, f in others.items() if n not in fits or f.cost < fits[n].cost}}
 
 
-def _screened_as_given(
+def _as_given(problem: FitProblem, start: Baseline, reference: Fit) -> Fit | None:
+    """Return the reference with the baseline's values before the refit; None where the simulation diverges there."""
+    values = {**reference.values, **{n: start.values[n] for n in start.prior.names}}
+    state, costs = problem.fit_states(values, reference.state)
+    if not bool(torch.isfinite(costs).all()):
+        return None
+    theta = np.array([[values[n] for n in problem.names]])
+    shown = problem.predict(theta, state[None], reference.nuisance[None])[0]
+    residual = (problem.windows.value - shown) * problem.weight
+    return replace(
+        reference, values=values, state=state, residual=residual, chi2=float(residual.square().sum())
+    )
+
+
+def _screened_there(
     problem: FitProblem,
-    start: Baseline,
-    reference: Fit,
+    given: Fit,
     prior: Prior,
+    tried: Sequence[Cause],
     listed: Sequence[tuple[Cause, Mapping[str, float]]],
+    hints: Hints,
 ) -> list[StartPoint]:
     """Return the promising starts at the baseline's values before the refit.
 
     Where several parameters together imitate a cause, the refit has moved them there, and the score test at the refit
     sees nothing of it: a payload within a link is another mass and another inertia of it. One parameter that changed
     much moves the others with it in the same way.
+
+    What is missing there is not what the refit misses. A push for some seconds bends all parameters, and what is left
+    beside these shows another push, at another time.
+
+    Args:
+        problem: The windows.
+        given: The simulation there.
+        prior: Prior of the refit's parameters.
+        tried: Causes.
+        listed: Their starts at the refit.
+        hints: Data from which these were chosen.
     """
-    values = {**reference.values, **{n: start.values[n] for n in start.prior.names}}
-    state, costs = problem.fit_states(values, reference.state)
-    if not bool(torch.isfinite(costs).all()):
-        return []
-    there = replace(reference, values=values, state=state)
+    at_given = Hints(
+        hints.system,
+        problem.windows,
+        missing_torque(problem, given),
+        given.chi2 / problem.windows.samples,
+        hints.strained,
+    )
     pairs = [pair for pair in listed if pair[0].free]
-    first: dict[str, StartPoint] = {}
-    for point in promising_starts(screen(problem, there, prior, pairs)):
-        first.setdefault(point.cause.name, point)
-    return sorted(first.values(), key=lambda p: -p.promise)
+    known = {(cause.name, *sorted(place.items())) for cause, place in pairs}
+    for cause in tried:
+        for place in cause.starts(at_given.for_cause(cause)) if cause.free else ():
+            if (cause.name, *sorted(place.items())) not in known:
+                pairs.append((cause, place))
+    kept: list[StartPoint] = []
+    for point in promising_starts(screen(problem, given, prior, pairs)):
+        if point.cause.searched or all(point.cause.name != p.cause.name for p in kept):
+            kept.append(point)
+    return sorted(kept, key=lambda p: -p.promise)
 
 
 def without_events_first(
@@ -275,15 +316,16 @@ def without_events_first(
     """Rank a lasting cause before a push if it is detected in the windows that the push does not touch.
 
     One badly fitted window can outweigh all others, and a push can improve any single window. So when a push
-    leads the ranking, the causes are ranked again on the windows that it does not touch. A lasting cause that is
-    detected there goes first. The push may follow in the next round.
+    leads the ranking, the lasting causes that are detected in all windows are ranked again on those that it does not
+    touch. One that is detected there, too, goes first. The push may follow in the next round.
     """
     winner = ranking.best
     if winner.cause.effect != "event":
         return ranking
     windows = problem.windows
     keep = ~touched(windows, winner.fit.values)
-    if keep.sum() < MIN_OTHER_WINDOWS:
+    lasting = [c.cause for c in ranking.candidates if c.cause.effect != "event" and c.delta_bic > detection]
+    if keep.sum() < MIN_OTHER_WINDOWS or not lasting:
         return ranking
     rest = FitProblem(problem.system, windows.take(keep))
     pick = torch.from_numpy(np.flatnonzero(keep))
@@ -298,14 +340,11 @@ def without_events_first(
     reference = rest.fit([before])[0]
     if reference.diverged:
         return ranking
-    lasting = [c.cause for c in ranking.candidates if c.cause.effect != "event"]
     there = rank(rest, start, reference, accepted, hints, lasting, wanted=detection)
     if not there.candidates or there.best.delta_bic <= detection:
         return ranking
     name = there.best.cause.name
     first = next(c for c in ranking.candidates if c.cause.name == name)
-    if first.delta_bic <= detection:
-        return ranking
     others = sorted(
         (c for c in ranking.candidates if c is not first), key=lambda c: c.cause.effect == "event"
     )
