@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from deepkoco.diagnose.evidence.footholds import CLOSE, ITERATIONS
+from deepkoco.diagnose.evidence.footholds import CLOSE, ITERATIONS, SCOUTING
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.frozen_slopes import FrozenSlopes
 
-SCOUTING = 4  # iterations after which only the best start of each cause is continued
 SCOUTED = 0.7  # share of the whole fall of a cost that those iterations reach at least
 PROMISING_SHARE = 0.3  # share of the best candidate's fall of the cost that a candidate needs by then
 HALFWAY = 5  # further iterations, after which it needs HOPEFUL_SHARE

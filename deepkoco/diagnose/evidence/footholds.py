@@ -18,6 +18,8 @@ from deepkoco.fit.solve.frozen_slopes import FrozenSlopes
 
 ITERATIONS = 14
 ALONE = 6  # iterations of a cause alone, which only choose among starts
+SCOUTING = 4  # iterations after which only the best starts of each cause are continued
+AHEAD = 2  # how many of a cause alone
 CLOSE = 0.2  # fall of the cost per iteration below which a candidate has converged
 
 
@@ -44,10 +46,18 @@ def alone(
 ) -> list[Trial]:
     """Return trials that start where the parameters of their causes alone fit best, one for each cause.
 
-    The baseline's parameters could otherwise absorb a cause as they did in the refit.
+    The baseline's parameters could otherwise absorb a cause as they did in the refit. A cause that is searched in time
+    has many starts; those that are far behind its best ones after a few iterations are not continued.
     """
     free = {p.cause.name: p.cause.free for p in points}
     own = [replace(t, free=tuple(free[t.name])) for t in trials]
+    if len(own) > AHEAD * len(free):
+        scouts = problem.fit(own, SCOUTING, CLOSE, known, exact=False, renewals=0)
+        order = sorted(range(len(own)), key=lambda k: scouts[k].cost)
+        ahead = {n: [k for k in order if own[k].name == n][:AHEAD] for n in free}
+        kept = sorted(k for ks in ahead.values() for k in ks)
+        trials = [trials[k] for k in kept]
+        own = [own[k].from_fit(scouts[k]) for k in kept]
     fits = problem.fit(own, iterations, CLOSE, known, exact=False, renewals=0)
     best: dict[str, tuple[Trial, Fit]] = {}
     for trial, fit in zip(trials, fits, strict=True):

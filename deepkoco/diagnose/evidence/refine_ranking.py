@@ -10,11 +10,10 @@ import numpy as np
 
 from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import CAUSES, Cause, is_changed
-from deepkoco.diagnose.evidence.candidate_fits import SCOUTING
 from deepkoco.diagnose.evidence.classes import APART, NEAR, equivalent
 from deepkoco.diagnose.evidence.coloured import leader_under_colour
 from deepkoco.diagnose.evidence.elimination import beyond_chance, held_out_chi2
-from deepkoco.diagnose.evidence.footholds import trial_of
+from deepkoco.diagnose.evidence.footholds import SCOUTING, trial_of
 from deepkoco.diagnose.evidence.minor import LEAST_SHARE
 from deepkoco.diagnose.evidence.priors import declared, prior_with
 from deepkoco.diagnose.evidence.ranking import Candidate, Ranking, penalty, with_better_fit
