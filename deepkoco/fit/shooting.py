@@ -24,12 +24,12 @@ from deepkoco.fit.threads import at_once
 from deepkoco.systems import ExtendedSystem, Parameter, System
 from deepkoco.systems.effects.effect import PlacedEffect
 
-# Measurements that are simulated at once: what a batch reads and writes then stays in the cache, and the system need
-# not clear new memory for each.
+# Measurements of one batch: the system need then not clear new memory for each.
 MEASUREMENTS = 1 << 21
 # As many times more where torch takes the steps: each operation of a step has a cost of its own, whatever its size.
 IN_TORCH = 8
-# Of a batch, the measurements and the steps of single joints that one thread simulates: some 0.1 s.
+# Of a batch, the measurements and the steps of single joints that one thread simulates: some 0.1 s, and what it reads
+# and writes stays in the cache.
 MEASUREMENTS_EACH = 1 << 20
 JOINT_STEPS_EACH = 1 << 20
 SENSING_RANGE = 0.1  # longest delay of one channel [s]
@@ -81,12 +81,16 @@ class ShootingProblem:
     @property
     def lanes_each(self) -> int:
         """Number of lanes that one thread simulates."""
-        if not self.compiled:
-            # Equations of a user's class may keep something from call to call.
+        if not self.in_threads:
             return self.most_lanes
         steps = len(self.windows) * self.windows.steps * self.system.joints
         measurements = self.windows.value.numel()
         return max(min(JOINT_STEPS_EACH // max(steps, 1), MEASUREMENTS_EACH // max(measurements, 1)), 1)
+
+    @cached_property
+    def in_threads(self) -> bool:
+        """Whether several threads may simulate at once: a user's class may keep something from call to call."""
+        return self.compiled and type(self.system.base).__module__.partition(".")[0] == "deepkoco"
 
     @cached_property
     def compiled(self) -> bool:
@@ -106,7 +110,7 @@ class ShootingProblem:
             at, end = int(parts[k][0]), int(parts[k][-1]) + 1
             result[at:end] = self._predict(theta[at:end], initial[at:end], nuisance[at:end])
 
-        at_once(simulate, len(parts), alone=not self.compiled)
+        at_once(simulate, len(parts), alone=not self.in_threads)
         return result
 
     def _predict(self, theta: np.ndarray, initial: Tensor, nuisance: Tensor) -> Tensor:

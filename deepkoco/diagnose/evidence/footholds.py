@@ -51,13 +51,16 @@ def alone(
     """
     free = {p.cause.name: p.cause.free for p in points}
     own = [replace(t, free=tuple(free[t.name])) for t in trials]
-    if len(own) > AHEAD * len(free):
-        scouts = problem.fit(own, SCOUTING, CLOSE, known, exact=False, renewals=0)
-        order = sorted(range(len(own)), key=lambda k: scouts[k].cost)
-        ahead = {n: [k for k in order if own[k].name == n][:AHEAD] for n in free}
-        kept = sorted(k for ks in ahead.values() for k in ks)
+    searched = {p.cause.name for p in points if p.cause.searched}
+    many = [k for k, t in enumerate(own) if t.name in searched]
+    if len(many) > AHEAD * len(searched):
+        found = problem.fit([own[k] for k in many], SCOUTING, CLOSE, known, exact=False, renewals=0)
+        scouts = dict(zip(many, found, strict=True))
+        order = sorted(many, key=lambda k: scouts[k].cost)
+        ahead = {k for n in searched for k in [k for k in order if own[k].name == n][:AHEAD]}
+        kept = [k for k in range(len(own)) if k not in scouts or k in ahead]
         trials = [trials[k] for k in kept]
-        own = [own[k].from_fit(scouts[k]) for k in kept]
+        own = [own[k].from_fit(scouts[k]) if k in scouts else own[k] for k in kept]
     fits = problem.fit(own, iterations, CLOSE, known, exact=False, renewals=0)
     best: dict[str, tuple[Trial, Fit]] = {}
     for trial, fit in zip(trials, fits, strict=True):

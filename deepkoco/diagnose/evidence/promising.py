@@ -24,7 +24,7 @@ def largest_promises(promises: Sequence[StartPoint]) -> dict[str, float]:
 
 
 def promising_starts(promises: Sequence[StartPoint]) -> list[StartPoint]:
-    """Return the starts that are fitted: the best starts of each cause whose promise is large enough.
+    """Return the starts that are fitted: the best ones of each cause whose promise is large enough, more of a push.
 
     A push is tried at several times, each of which may lead to a minimum of its own. Only a fit tells which one: a push
     that explains one window promises more than the longer one, a little too early, that explains three.

@@ -102,7 +102,9 @@ def rank(
     prior = prior_with(problem, start, accepted, reference.values)
     tangent = Linearised(problem, reference, prior)
     promises = screen(problem, reference, prior, [pair for pair in listed if pair[0].free], tangent)
-    least = MIN_OF_BEST_CAUSE * MIN_OF_BEST_START * max(largest_promises(promises).values(), default=0.0)
+    # Of a tempered refit, flexible causes are not fitted, and set no bar.
+    barring = [p for p in promises if start.tempering == 1.0 or kind_of(p.cause.name) not in FLEXIBLE_CAUSES]
+    least = MIN_OF_BEST_CAUSE * MIN_OF_BEST_START * max(largest_promises(barring).values(), default=0.0)
     promises += cheapest_in_valley(problem, reference, prior, tried, least)
     promising = promising_starts(promises)
     many = len(reference.free) + problem.windows.state.shape[1] >= MANY
@@ -164,8 +166,10 @@ def rank(
         # cause is also fitted from the baseline's values before the refit, with initial states fitted to each start.
         also = {p.cause.name for p in promising}
         fresh = [p for p in there if p.cause.name not in also]
-        far = [p for p in fresh if not is_changed(p.cause)][:MOST_AS_GIVEN]
-        far += [p for p in fresh if is_changed(p.cause)][:MOST_CHANGED]
+        effects = list(dict.fromkeys(p.cause.name for p in fresh if not is_changed(p.cause)))
+        changes = list(dict.fromkeys(p.cause.name for p in fresh if is_changed(p.cause)))
+        asked = {*effects[:MOST_AS_GIVEN], *changes[:MOST_CHANGED]}
+        far = [p for p in fresh if p.cause.name in asked]
         if many:
             far = best_of_each_place(without_hopeless_slow(far, slow, charge), charge)
             kept = promising_there(promising, there)
@@ -249,11 +253,12 @@ def _lower_ones(fits: Mapping[str, Fit], others: Mapping[str, Fit]) -> dict[str,
 def _as_given(problem: FitProblem, start: Baseline, reference: Fit) -> Fit | None:
     """Return the reference with the baseline's values before the refit; None where the simulation diverges there."""
     values = {**reference.values, **{n: start.values[n] for n in start.prior.names}}
-    state, costs = problem.fit_states(values, reference.state)
+    nuisance = reference.nuisance[None]
+    states, costs = problem.fit_states_each([values], reference.state[None], nuisance=nuisance)
     if not bool(torch.isfinite(costs).all()):
         return None
-    theta = np.array([[values[n] for n in problem.names]])
-    shown = problem.predict(theta, state[None], reference.nuisance[None])[0]
+    theta, state = np.array([[values[n] for n in problem.names]]), states[0]
+    shown = problem.predict(theta, states, nuisance)[0]
     residual = (problem.windows.value - shown) * problem.weight
     return replace(
         reference, values=values, state=state, residual=residual, chi2=float(residual.square().sum())

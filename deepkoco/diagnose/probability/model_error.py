@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from deepkoco.diagnose.residuals.loaded import under_loads
+from deepkoco.diagnose.residuals.loaded import under_loads, with_steps_for
 from deepkoco.diagnose.residuals.residuals import (
     SLOTS,
     SMOOTHING_SLOTS,
@@ -37,7 +37,7 @@ def slot_responses(problem: FitProblem, fit: Fit) -> np.ndarray:
         problem: The windows.
         fit: The point of linearisation.
     """
-    problem = problem.with_usual_steps  # responses are differences of simulations
+    problem = with_steps_for(problem, SLOTS)
     windows, system = problem.windows, problem.system
     joints, lanes = system.joints, 1 + system.joints * SLOTS
     edges = np.linspace(0, windows.steps, SLOTS + 1).round().astype(int)

@@ -10,15 +10,27 @@ import torch
 from torch import Tensor
 
 from deepkoco.fit.fit import FitProblem
-from deepkoco.fit.simulate.simulator import predict
+from deepkoco.fit.simulate.simulator import is_compiled, predict
 from deepkoco.fit.threads import at_once
 from deepkoco.systems import ExtendedSystem
+
+EVEN = 5  # steps of a slot from which all slots are nearly of one length
+
+
+def with_steps_for(problem: FitProblem, slots: int) -> FitProblem:
+    """Return the same problem with the steps for responses to a load in each of so many slots of a window.
+
+    Responses are differences of simulations, which need no cut steps; but slots consist of whole steps.
+    """
+    usual = problem.with_usual_steps
+    steps = usual.windows.steps
+    return usual if steps % slots == 0 or steps >= EVEN * slots else problem
 
 
 def under_loads(
     problem: FitProblem, system: ExtendedSystem, named: Mapping[str, Tensor], initial: Tensor, push: Tensor
 ) -> Tensor:
-    """Simulate measurements (L, W, N, M).
+    """Return simulated measurements (L, W, N, M).
 
     Args:
         problem: W windows of n steps.
@@ -28,6 +40,8 @@ def under_loads(
         push: (J, L, W, n) load on each joint over each step [N m or N].
     """
     lanes = len(initial)
+    if not problem.in_threads or not is_compiled(system, problem.windows.step):
+        return predict(system, problem.windows, named, initial, push)
     result = torch.empty(lanes, *problem.windows.value.shape, dtype=torch.float64)
     parts = np.array_split(np.arange(lanes), math.ceil(lanes / problem.lanes_each))
 
@@ -35,5 +49,5 @@ def under_loads(
         at, end = int(parts[k][0]), int(parts[k][-1]) + 1
         result[at:end] = predict(system, problem.windows, named, initial[at:end], push[:, at:end])
 
-    at_once(simulate, len(parts), alone=not problem.compiled)
+    at_once(simulate, len(parts))
     return result

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepkoco.diagnose.residuals.loaded import under_loads
+from deepkoco.diagnose.residuals.loaded import under_loads, with_steps_for
 from deepkoco.diagnose.residuals.waves import Waves
 from deepkoco.fit.data.per_log_differences import effects_in
 from deepkoco.fit.data.positions import positions_at
@@ -155,7 +155,7 @@ class MissingTorque:
     @property
     def slot(self) -> float:
         """Length of a slot [s]."""
-        return float(self.time[0, 1] - self.time[0, 0])
+        return float(self.time[0, -1] - self.time[0, 0]) / (self.time.shape[1] - 1)
 
 
 def missing_torque(problem: FitProblem, fit: Fit, inflation: float = 1.0) -> tuple[MissingTorque, ...]:
@@ -173,7 +173,7 @@ def missing_torque(problem: FitProblem, fit: Fit, inflation: float = 1.0) -> tup
         The missing load of each joint.
     """
     exact, fit = problem.as_fitted(fit)
-    problem = exact.with_usual_steps  # responses are differences of simulations
+    problem = with_steps_for(exact, SLOTS)
     windows, system = problem.windows, problem.system
     joints, states = system.joints, fit.state.shape[1]
     edges = np.linspace(0, windows.steps, SLOTS + 1).round().astype(int)

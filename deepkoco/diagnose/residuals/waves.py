@@ -16,7 +16,7 @@ from deepkoco.fit.simulate.push import Push, push_torque
 from deepkoco.fit.simulate.simulator import trajectories
 from deepkoco.systems import ExtendedSystem
 
-LANES = 160  # simulations in one batch
+LANES = 160  # responses that are asked for at once
 UNIT = 1e-4  # load of a response, in typical loads of the joint
 LEAST_STEPS = 20  # of a window, and samples
 TINY = 1e-6  # change of an initial state of a response
@@ -122,9 +122,8 @@ class Waves(NamedTuple):
         return torch.cat([self._responses(loads[at : at + LANES], 0) for at in range(0, len(loads), LANES)])
 
     def _middle(self) -> Tensor:
-        """Return the positions (W, n) in the middle of each usual step."""
+        """Return the positions (W, n) in the middle of each step."""
         path = torch.from_numpy(self.shown_path())
-        path = path[:, :: self.problem.windows.steps // self.problem.with_usual_steps.windows.steps]
         return 0.5 * (path[:, 1:] + path[:, :-1])
 
     def _responses(self, loads: list[Tensor], states: int) -> Tensor:
@@ -134,7 +133,7 @@ class Waves(NamedTuple):
         joints, lanes = problem.system.joints, 1 + len(loads) + states
         push = torch.zeros(joints, lanes, len(windows), windows.steps, dtype=torch.float64)
         for lane, load in enumerate(loads):
-            push[self.joint, 1 + lane] = load
+            push[self.joint, 1 + lane] = load.unflatten(1, (windows.steps, -1)).mean(-1)
         initial = self.fit.state[None].repeat(lanes, 1, 1)
         for s in range(states):
             initial[1 + len(loads) + s, :, s] += TINY

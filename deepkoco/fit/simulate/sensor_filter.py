@@ -49,7 +49,7 @@ def filtered(nodes: Nodes, time_constant: Tensor, h: float) -> Nodes:
     return type(nodes)(tuple(shown), tuple(lefts), tuple(rights))
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _along(first: np.ndarray, last: np.ndarray, decay: np.ndarray) -> np.ndarray:
     """Values (S + 1, M) at the nodes, from p (S, M) at the start and the end of each step and its decay (M,)."""
     y = np.empty((len(first) + 1, first.shape[1]))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
+from threading import RLock
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -34,6 +35,7 @@ Rolled = tuple[np.ndarray, np.ndarray, np.ndarray]
 Key = tuple[tuple[str, ...], tuple[str, ...], float, bool]
 _programs: WeakKeyDictionary[System, dict[Key, Program | None]] = WeakKeyDictionary()
 _parts: WeakKeyDictionary[System, dict[tuple[str, ...], ExtendedSystem]] = WeakKeyDictionary()
+_filling = RLock()  # several threads simulate, and a trace changes how torch works
 
 
 def along_windows(
@@ -113,11 +115,12 @@ def _with_effects(system: System, names: Sequence[str]) -> System:
     """The system with some of its effects alone."""
     if not isinstance(system, ExtendedSystem):
         return system
-    known = _parts.setdefault(system, {})  # not by the base, to which the parts refer
     key = tuple(names)
-    if key not in known:
-        known[key] = ExtendedSystem(system.base, key)
-    return known[key]
+    with _filling:
+        known = _parts.setdefault(system, {})  # not by the base, to which the parts refer
+        if key not in known:
+            known[key] = ExtendedSystem(system.base, key)
+        return known[key]
 
 
 def _of_lanes(given: StepsInput, first: int, last: int) -> StepsInput:
@@ -145,15 +148,16 @@ def _program(system: System, names: Iterable[str], step: float, loaded: bool) ->
     """The program of a system, traced at its first use and compared with torch; None where it has none."""
     base = system.base if isinstance(system, ExtendedSystem) else system
     key = (_names(system), tuple(names), step, loaded)
-    known = _programs.setdefault(base, {})
-    if key not in known:
-        try:
-            program = program_of(system, key[1], step, loaded)
-            known[key] = program if _is_right(system, key[1], step, loaded, program) else None
-        except (TraceError, RuntimeError, TypeError, ValueError, LookupError):
-            # Equations of a user may do anything; torch runs them as they are, and says what is wrong with them.
-            known[key] = None
-    return known[key]
+    with _filling:
+        known = _programs.setdefault(base, {})
+        if key not in known:
+            try:
+                program = program_of(system, key[1], step, loaded)
+                known[key] = program if _is_right(system, key[1], step, loaded, program) else None
+            except (TraceError, RuntimeError, TypeError, ValueError, LookupError):
+                # Equations of a user may do anything; torch runs them as they are, and says what is wrong with them.
+                known[key] = None
+        return known[key]
 
 
 def _is_right(system: System, names: Iterable[str], h: float, loaded: bool, program: Program) -> bool:
