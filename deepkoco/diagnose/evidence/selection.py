@@ -25,6 +25,7 @@ from deepkoco.diagnose.evidence.exchanged_states import hides_a_position, with_e
 from deepkoco.diagnose.evidence.flexible import FLEXIBLE_CAUSES
 from deepkoco.diagnose.evidence.footholds import ALONE, CLOSE, ITERATIONS, alone, from_halves, trial_of
 from deepkoco.diagnose.evidence.freed_positions import with_freed_positions
+from deepkoco.diagnose.evidence.minor import tolerated
 from deepkoco.diagnose.evidence.natural_shapes import with_natural_shapes
 from deepkoco.diagnose.evidence.priors import prior_with, strained
 from deepkoco.diagnose.evidence.promising import (
@@ -322,7 +323,8 @@ def without_events_first(
 
     One badly fitted window can outweigh all others, and a push can improve any single window. So when a push
     leads the ranking, the lasting causes that are detected in all windows are ranked again on those that it does not
-    touch. One that is detected there, too, goes first. The push may follow in the next round.
+    touch. One that is detected there, too, and is more than any healthy machine has goes first. The push may follow in
+    the next round.
     """
     winner = ranking.best
     if winner.cause.effect != "event":
@@ -348,7 +350,10 @@ def without_events_first(
     there = rank(rest, start, reference, accepted, hints, lasting, wanted=detection)
     if not there.candidates or there.best.delta_bic <= detection:
         return ranking
-    name = there.best.cause.name
+    lasts = there.best
+    if lasts.fit is not reference and tolerated(rest, start, lasts.cause, lasts.fit, there.deflation):
+        return ranking
+    name = lasts.cause.name
     first = next(c for c in ranking.candidates if c.cause.name == name)
     others = sorted(
         (c for c in ranking.candidates if c is not first), key=lambda c: c.cause.effect == "event"
