@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import math
 from collections.abc import Sequence
 from functools import cached_property
 from typing import Self
@@ -20,7 +19,7 @@ from deepkoco.fit.simulate.push import Push, push_torque
 from deepkoco.fit.simulate.simulator import is_compiled, predict
 from deepkoco.fit.solve.encoder_zeros import EncoderZeros
 from deepkoco.fit.solve.nuisances import Nuisances
-from deepkoco.fit.threads import at_once
+from deepkoco.fit.threads import in_parts
 from deepkoco.systems import ExtendedSystem, Parameter, System
 from deepkoco.systems.effects.effect import PlacedEffect
 
@@ -103,14 +102,12 @@ class ShootingProblem:
         if len(theta) <= most:
             return self._predict(theta, initial, nuisance)
         result = torch.empty(len(theta), *self.windows.value.shape, dtype=torch.float64)
-        parts = np.array_split(np.arange(len(theta)), math.ceil(len(theta) / most))
         self.null_values()  # all threads use them
 
-        def simulate(k: int) -> None:
-            at, end = int(parts[k][0]), int(parts[k][-1]) + 1
+        def simulate(at: int, end: int) -> None:
             result[at:end] = self._predict(theta[at:end], initial[at:end], nuisance[at:end])
 
-        at_once(simulate, len(parts), alone=not self.in_threads)
+        in_parts(simulate, len(theta), most, alone=not self.in_threads)
         return result
 
     def _predict(self, theta: np.ndarray, initial: Tensor, nuisance: Tensor) -> Tensor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -36,6 +37,25 @@ def one_thread() -> Iterator[None]:
         torch.set_num_threads(before)
 
 
+def in_parts(call: Callable[[int, int], None], count: int, most: int, alone: bool = False) -> None:
+    """Call for equal parts of ``count`` items, inside :func:`one_thread` for several at once.
+
+    The parts do not depend on the number of threads, and so neither does a bit of what is computed.
+
+    Args:
+        call: Takes the first item of a part, and the one behind its last. Calls must not depend on each other.
+        count: Number of items.
+        most: Largest number of items in one part.
+        alone: Whether to make one call after the other.
+
+    Raises:
+        Exception: The first one of a call.
+    """
+    parts = math.ceil(count / most)
+    edges = [count * k // parts for k in range(parts + 1)]
+    at_once(lambda k: call(edges[k], edges[k + 1]), parts, alone)
+
+
 def at_once(call: Callable[[int], None], count: int, alone: bool = False) -> None:
     """Make ``count`` calls, inside :func:`one_thread` several at once.
 
@@ -43,6 +63,9 @@ def at_once(call: Callable[[int], None], count: int, alone: bool = False) -> Non
         call: Takes the number of the call. Calls must not depend on each other.
         count: How many.
         alone: Whether to make one call after the other.
+
+    Raises:
+        Exception: The first one of a call.
     """
     pool = _pool.get()
     if pool is None or alone or count == 1:

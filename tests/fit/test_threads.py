@@ -6,7 +6,7 @@ import torch
 
 from deepkoco.fit import FitProblem, cut_windows, shooting
 from deepkoco.fit.request import make_request
-from deepkoco.fit.threads import at_once, one_thread
+from deepkoco.fit.threads import at_once, in_parts, one_thread
 from deepkoco.systems import ExtendedSystem, load_system
 from tests.fit.identify_logs import rod_log
 from tests.oracle.feeder import feeder_log, model_file
@@ -42,6 +42,16 @@ def test_each_call_is_made_once_with_one_thread_of_torch(two_threads):
         at_once(call, 20)
     assert sorted(made) == list(range(20))
     assert set(threads) == {1}
+
+
+@pytest.mark.parametrize(("count", "most", "parts"), [(7, 3, 3), (6, 3, 2), (2, 5, 1), (23, 1, 23)])
+def test_parts_cover_every_item_once_and_are_no_larger_than_allowed(count, most, parts, two_threads):
+    covered = []
+    with one_thread():
+        in_parts(lambda at, end: covered.append(range(at, end)), count, most)
+    assert sorted(k for part in covered for k in part) == list(range(count))
+    assert len(covered) == parts
+    assert max(map(len, covered)) <= most
 
 
 def test_an_error_of_a_call_is_raised(two_threads):

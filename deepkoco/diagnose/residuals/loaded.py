@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from deepkoco.fit.fit import FitProblem
 from deepkoco.fit.simulate.simulator import is_compiled, predict
-from deepkoco.fit.threads import at_once
+from deepkoco.fit.threads import in_parts
 from deepkoco.systems import ExtendedSystem
 
 EVEN = 5  # steps of a slot from which all slots are nearly of one length
@@ -43,11 +41,9 @@ def under_loads(
     if not problem.in_threads or not is_compiled(system, problem.windows.step):
         return predict(system, problem.windows, named, initial, push)
     result = torch.empty(lanes, *problem.windows.value.shape, dtype=torch.float64)
-    parts = np.array_split(np.arange(lanes), math.ceil(lanes / problem.lanes_each))
 
-    def simulate(k: int) -> None:
-        at, end = int(parts[k][0]), int(parts[k][-1]) + 1
+    def simulate(at: int, end: int) -> None:
         result[at:end] = predict(system, problem.windows, named, initial[at:end], push[:, at:end])
 
-    at_once(simulate, len(parts))
+    in_parts(simulate, lanes, problem.lanes_each)
     return result
