@@ -106,8 +106,8 @@ class ElasticDrive(WrappedSystem):
     def longest_step(self) -> float:
         return min(self.base.longest_step, LONGEST_STEP)
 
-    def loads_of_push(self, place: int, along: Tensor, angles: Sequence[Tensor]) -> Tensor:
-        own = self.base.loads_of_push(place, along, angles[: self.own_joints])
+    def loads_of_push(self, place: int, point: Tensor, angles: Sequence[Tensor]) -> Tensor:
+        own = self.base.loads_of_push(place, point, angles[: self.own_joints])
         return torch.cat([own, torch.zeros_like(own[:, :1]).expand(-1, len(self.driven), *own.shape[2:])], 1)
 
     def ideal_measurement(self, state: Tensor) -> Tensor:

@@ -59,6 +59,10 @@ class CommandTiming(NamedTuple):
     skew: Tensor  # seconds that the measurements' clock gains per second
 
 
+POINT = ("along", "across", "beside")
+"""Coordinates of a pushed point: along a link's line, square to it and the joint's axis, and square to these two."""
+
+
 class PushPlace(NamedTuple):
     """A body on which a push from outside loads several joints.
 
@@ -66,8 +70,7 @@ class PushPlace(NamedTuple):
         body: Its name.
         joint: The joint that moves it.
         parameters: Components ``x``, ``y``, ``z`` of the force in the frame of the world that load a joint [N], and
-            ``along``, the distance of the point from the body's centre of mass along its link [m], where a motion
-            shows it.
+            those of `POINT` that a motion shows: distances of the point from the body's centre of mass [m].
     """
 
     body: str

@@ -174,13 +174,13 @@ class System(SignalPath, NamedJoints, Drawn, metaclass=Declared):
         """
         raise ParameterError(f'{self.name} has no place "{site}" for a force; define its force_sites')
 
-    def loads_of_push(self, place: int, along: Tensor, angles: Sequence[Tensor]) -> Tensor:
+    def loads_of_push(self, place: int, point: Tensor, angles: Sequence[Tensor]) -> Tensor:
         """Loads (3, J, ...) of pushes of 1 N along the axes of the world at one of `push_places` [N m or N per N].
 
         Args:
             place: Its number.
-            along: (...) distance of the point from the body's centre of mass along its link [m].
-            angles: J coordinates (...) [rad or m]; they broadcast against ``along``.
+            point: (3, ...) distances `POINT` of the pushed point from the body's centre of mass [m].
+            angles: J coordinates (...) [rad or m]; they broadcast against an entry of ``point``.
 
         Raises:
             ParameterError: There is no such place.

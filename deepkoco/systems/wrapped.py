@@ -159,8 +159,8 @@ class WrappedSystem(System):
     def with_force_at(self, site: str, force: Parameters, parameters: Parameters) -> Parameters:
         return self.base.with_force_at(site, force, parameters)
 
-    def loads_of_push(self, place: int, along: Tensor, angles: Sequence[Tensor]) -> Tensor:
-        return self.base.loads_of_push(place, along, angles)
+    def loads_of_push(self, place: int, point: Tensor, angles: Sequence[Tensor]) -> Tensor:
+        return self.base.loads_of_push(place, point, angles)
 
     def with_length(self, factor: Tensor, joint: int, parameters: Parameters) -> Parameters:
         return self.base.with_length(factor, joint, parameters)

@@ -9,6 +9,7 @@ import numpy as np
 from deepkoco.diagnose.causes.cause import Cause, Hint
 from deepkoco.diagnose.causes.tolerance import of_force_impulse, of_impulse
 from deepkoco.fit.simulate.push import LONGEST, SHORTEST, Push
+from deepkoco.systems.motion import POINT
 
 ADVICE = (
     "Look at the video or the lab book at that time. Repeat the log and check whether the push occurs again."
@@ -51,7 +52,7 @@ EVENT = Cause(
 BODY_PUSH = Cause(
     "body_push",
     "event",
-    ("x", "y", "z", "along", "start", "duration"),
+    ("x", "y", "z", *POINT, "start", "duration"),
     "Something outside pushed or pulled a body for a short time, which loads all joints between it and the base.",
     ADVICE,
     "time",
@@ -59,6 +60,6 @@ BODY_PUSH = Cause(
     _starts,
     searched=True,
     valley=_stretched,
-    shape=("along", "start", "duration"),
+    shape=(*POINT, "start", "duration"),
     tolerance=of_force_impulse,
 )

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
+from deepkoco.diagnose.evidence.classes import APART
+from deepkoco.diagnose.evidence.ranking import Ranking, penalty
 from deepkoco.diagnose.evidence.screening import WORTH, StartPoint
 
 MIN_OF_BEST_CAUSE = 0.2  # share of the largest promise of all causes from which a cause is fitted
 MIN_OF_BEST_START = 0.3  # share of a cause's largest promise that its further starts need
 STARTS = 3  # largest number of starts of one cause
+ROUNDS = 3  # in which causes are fitted that promise more than the fits before have reached
 SEARCHED = 10  # the same of a cause that is searched in time
 # With many parameters, causes of each joint (and as many without a joint) that are fitted: a cause at a joint shows
 # mostly in the motion of that joint, and the score test orders those of one joint well.
@@ -40,6 +43,35 @@ def promising_starts(promises: Sequence[StartPoint]) -> list[StartPoint]:
         if best[p.cause.name] >= bar and p.promise >= worth and len(own) < most:
             own.append(p)
     return [p for own in kept.values() for p in own]
+
+
+def outstanding(
+    ranking: Ranking, promises: Sequence[StartPoint], asked: Collection[str], places: int, wanted: float
+) -> list[StartPoint]:
+    """Return the best starts of causes that were not fitted although they promise more than any fit has reached.
+
+    Which causes are fitted first is decided by what the others promise. A promise is what slopes tell, and a cause that
+    promises most may gain little: the others then have to be asked.
+
+    Args:
+        ranking: Ranking of what was fitted; the others have their promise.
+        promises: Starts of all causes.
+        asked: Names of the causes that were fitted, or from which a simulation diverged.
+        places: Places in time at which a push was searched for.
+        wanted: Fall of the BIC from which a cause is named.
+    """
+    fitted = [c for c in ranking.candidates if c.cause.name in asked]
+    least = max(max((c.delta_bic for c in fitted), default=0.0) - APART, wanted)
+    ranked = {c.cause.name for c in ranking.candidates}
+    found: dict[str, StartPoint] = {}
+    for p in sorted(promises, key=lambda p: -p.promise):
+        name = p.cause.name
+        if name in asked or name in found or name not in ranked:
+            continue
+        score = p.promise / ranking.deflation - penalty(p.cause, ranking.samples, places)
+        if p.promise >= WORTH and score > least:
+            found[name] = p
+    return list(found.values())
 
 
 def best_of_each_place(points: Sequence[StartPoint], charge: Mapping[str, float]) -> list[StartPoint]:

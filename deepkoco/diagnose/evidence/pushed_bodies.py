@@ -61,7 +61,7 @@ def _at(system: System, index: int, place: PushPlace, missing: MissingTorque) ->
     positions = [torch.from_numpy(q) for q in together.positions]
     best: dict[tuple[int, int], tuple[float, dict[str, float]]] = {}
     for along in _points(declared.get("along")):
-        given = system.loads_of_push(index, torch.tensor(along, dtype=torch.float64), positions)
+        given = system.loads_of_push(index, torch.tensor((along, 0.0, 0.0), dtype=torch.float64), positions)
         loads = given.numpy()[[AXES.index(axis) for axis in axes]]  # (A, J, W, K)
         slope = np.einsum("ajwk,wjk->wka", loads, together.slope)
         curvature = np.einsum("ajwk,wjkil,biwl->wkalb", loads, together.curvature, loads, optimize=True)

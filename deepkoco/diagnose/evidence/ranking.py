@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause
-from deepkoco.diagnose.residuals.residuals import Dispersion
-from deepkoco.fit.fit import Fit
+from deepkoco.diagnose.residuals.residuals import SLOTS, Dispersion, dispersion
+from deepkoco.fit.fit import Fit, FitProblem
 
 
 @dataclass(frozen=True)
@@ -82,3 +83,48 @@ def penalty(cause: Cause, samples: float, places: int) -> float:
     # any single window. A push can improve that window, and no other window can contradict it.
     charge += 2.0 * math.log(cause.choices)
     return charge + (4.0 * math.log(max(places, 1)) if cause.searched else 0.0)
+
+
+def ranked(
+    problem: FitProblem,
+    start: Baseline,
+    reference: Fit,
+    tried: Sequence[Cause],
+    fits: Mapping[str, Fit],
+    promises: Mapping[str, float],
+) -> Ranking:
+    """Return the ranking of these causes on top of a reference.
+
+    A cause that was not fitted is ranked with its promise, behind the best one that was: a promise is only what slopes
+    tell.
+
+    Args:
+        problem: The windows.
+        start: The baseline.
+        reference: Fit without the causes.
+        tried: The causes.
+        fits: Cause -> its fit.
+        promises: Cause -> largest fall of the cost by slopes; a cause that is in neither had no start values.
+    """
+    lowest = min([reference, *fits.values()], key=lambda fit: fit.cost)
+    spread = dispersion(lowest, problem.windows)
+    deflation = max(spread.deflation, start.least_deflation)
+    samples = problem.windows.samples / spread.correlation
+    places = SLOTS * len(problem.windows)
+    candidates: list[Candidate] = []
+    for cause in tried:
+        if cause.name not in fits and cause.name not in promises:
+            continue  # it had no start values
+        fit = fits.get(cause.name, reference)
+        ratio = reference.cost - fit.cost if cause.name in fits else promises.get(cause.name, 0.0)
+        if ratio < 0.0:
+            # If no start improves on the reference, the cause keeps its null value.
+            fit, ratio = reference, 0.0
+        score = ratio / deflation - penalty(cause, samples, places)
+        candidates.append(Candidate(cause, fit, ratio, float(score)))
+    best = max((c.delta_bic for c in candidates if c.cause.name in fits), default=0.0)
+    candidates = [
+        c if c.cause.name in fits else replace(c, delta_bic=min(c.delta_bic, best)) for c in candidates
+    ]
+    candidates.sort(key=lambda c: (-c.delta_bic, c.cause.name not in fits))
+    return Ranking(reference, tuple(candidates), spread, deflation, samples)

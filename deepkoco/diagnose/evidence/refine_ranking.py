@@ -47,7 +47,7 @@ def front_settled(
     for k, other in enumerate(others):
         # A candidate with a better score than the winner was put behind it on purpose (`without_events_first`).
         behind = ranking.best.delta_bic - other.delta_bic
-        if behind < 0.0 or not other.cause.free:
+        if behind < 0.0 or not other.cause.free or other.fit is ranking.reference:
             continue
         if _same_family(winner.cause, other.cause) and _simpler(winner, other, 0.0):
             other = others[k] = _from_winner(problem, start, accepted, ranking, other, winner)

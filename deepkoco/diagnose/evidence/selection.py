@@ -31,12 +31,14 @@ from deepkoco.diagnose.evidence.priors import prior_with, strained
 from deepkoco.diagnose.evidence.promising import (
     MIN_OF_BEST_CAUSE,
     MIN_OF_BEST_START,
+    ROUNDS,
     WORTH,
     best_of_each_place,
     largest_promises,
+    outstanding,
     promising_starts,
 )
-from deepkoco.diagnose.evidence.ranking import Candidate, Ranking, penalty
+from deepkoco.diagnose.evidence.ranking import Ranking, penalty, ranked
 from deepkoco.diagnose.evidence.screening import Linearised, StartPoint, screen
 from deepkoco.diagnose.evidence.second_round import can_gain, promising_there, without_hopeless_slow
 from deepkoco.diagnose.evidence.slips import HOPELESS, slipped
@@ -204,10 +206,33 @@ def rank(
             footholds = from_halves(problem, start, accepted, hard_points, there, reference)
             trials += footholds
             fits = _lower_ones(fits, fit_best(problem, footholds, reference, worth=worth))
+    asked = {t.name for t in trials}
+    for _ in range(ROUNDS):
+        found = ranked(problem, start, reference, tried, _sound(fits), largest_promises(promises))
+        rest = outstanding(found, promises, asked, SLOTS * len(problem.windows), wanted)
+        if many:
+            rest = best_of_each_place(without_hopeless_slow(rest, slow, charge), charge)
+        if not rest:
+            break
+        asked |= {p.cause.name for p in rest}
+        own = [
+            trial_of(
+                problem,
+                start,
+                accepted,
+                p.cause,
+                {**reference.values, **p.values},
+                reference.state,
+                reference,
+            )
+            for p in rest
+        ]
+        trials += own
+        fits |= fit_best(problem, own, reference, tangent.kept() if sharing else None, worth)
     promised = largest_promises(promises)
     unfitted = tuple(name for name, fit in fits.items() if fit.diverged)
-    fits = {name: fit for name, fit in fits.items() if not fit.diverged}
-    ranking = _ranked(problem, start, reference, tried, fits, promised)
+    fits = _sound(fits)
+    ranking = ranked(problem, start, reference, tried, fits, promised)
     # The remaining misfit of a winner that has not converged would look like a further cause. A candidate that
     # promised more than the winner's fall of the cost may only converge slowly.
     best = ranking.best.cause.name if ranking.candidates else ""
@@ -223,12 +248,12 @@ def rank(
         longer = [first[n].from_fit(fits[n]) for n in unsettled]
         near = CLOSE * ranking.dispersion.correlation
         fits |= dict(zip(unsettled, problem.fit(longer, PATIENCE, near), strict=True))
-        ranking = _ranked(problem, start, reference, tried, fits, promised)
+        ranking = ranked(problem, start, reference, tried, fits, promised)
     if not many and start.tempering == 1.0 and hides_a_position(problem.windows):
         better, found = with_exchanged_states(problem, start, accepted, ranking)
         won, reference = reference.cost - better.cost, better
         promised = {name: max(p - won, 0.0) for name, p in promised.items()}
-        ranking = _ranked(problem, start, reference, tried, fits := fits | found, promised)
+        ranking = ranked(problem, start, reference, tried, fits := fits | found, promised)
     crosses = cross and start.tempering == 1.0
     if crosses and (gains_elsewhere(start, ranking) if many else leaves_more(problem, start, ranking)):
         better = better_reference(problem, start, accepted, ranking, 1 if many else FRONT)
@@ -241,9 +266,14 @@ def rank(
             reference = better
         if not many:
             fits |= crossed(problem, start, accepted, ranking)
-        ranking = _ranked(problem, start, reference, tried, fits, promised)
+        ranking = ranked(problem, start, reference, tried, fits, promised)
     ranking = with_natural_shapes(problem, start, accepted, ranking)
     return replace(ranking, unfitted=unfitted, beside=tuple(names), asked=tuple(c.name for c in everything))
+
+
+def _sound(fits: Mapping[str, Fit]) -> dict[str, Fit]:
+    """Return the fits that did not diverge."""
+    return {name: fit for name, fit in fits.items() if not fit.diverged}
 
 
 def _lower_ones(fits: Mapping[str, Fit], others: Mapping[str, Fit]) -> dict[str, Fit]:
@@ -359,32 +389,3 @@ def without_events_first(
         (c for c in ranking.candidates if c is not first), key=lambda c: c.cause.effect == "event"
     )
     return replace(ranking, candidates=(first, *others))
-
-
-def _ranked(
-    problem: FitProblem,
-    start: Baseline,
-    reference: Fit,
-    tried: Sequence[Cause],
-    fits: Mapping[str, Fit],
-    promises: Mapping[str, float],
-) -> Ranking:
-    lowest = min([reference, *fits.values()], key=lambda fit: fit.cost)
-    spread = dispersion(lowest, problem.windows)
-    deflation = max(spread.deflation, start.least_deflation)
-    samples = problem.windows.samples / spread.correlation
-    places = SLOTS * len(problem.windows)
-    candidates = []
-    for cause in tried:
-        if cause.name not in fits and cause.name not in promises:
-            continue  # it had no start values
-        # A cause with a small promise was not fitted. It is ranked with its promise, which is below every fit's ratio.
-        fit = fits.get(cause.name, reference)
-        ratio = reference.cost - fit.cost if cause.name in fits else promises.get(cause.name, 0.0)
-        if ratio < 0.0:
-            # If no start improves on the reference, the cause keeps its null value.
-            fit, ratio = reference, 0.0
-        score = ratio / deflation - penalty(cause, samples, places)
-        candidates.append(Candidate(cause, fit, ratio, float(score)))
-    candidates.sort(key=lambda c: -c.delta_bic)
-    return Ranking(reference, tuple(candidates), spread, deflation, samples)

@@ -11,6 +11,7 @@ from torch import Tensor
 from deepkoco.fit.data.positions import positions_at
 from deepkoco.fit.data.windows import Windows
 from deepkoco.systems import Parameter, System
+from deepkoco.systems.motion import POINT
 
 SHORTEST = 0.02  # [s]
 LONGEST = 5.0  # [s]
@@ -33,10 +34,11 @@ class Push:
         "event.x",
         "event.y",
         "event.z",
-        "event.along",
+        *(f"event.{n}" for n in POINT),
     )
     WHEN: ClassVar[tuple[str, ...]] = NAMES[1:3]
     FORCE: ClassVar[tuple[str, ...]] = NAMES[5:8]
+    AT: ClassVar[tuple[str, ...]] = NAMES[8:]
     SIZES: ClassVar[tuple[str, ...]] = (NAMES[0], *FORCE)
 
     @staticmethod
@@ -50,7 +52,7 @@ class Push:
         listed = (
             Parameter("event.torque", 0.0, unit, -10 * scale, 10 * scale, scale, "outside load"),
             *(_of_any_place(system, axis, "N", f"outside force along {axis} of the world") for axis in AXES),
-            _of_any_place(system, "along", "m", "distance of the pushed point from the centre of mass"),
+            *(_of_any_place(system, name, "m", f"of the pushed point, {name} the link") for name in POINT),
             Parameter("event.start", first, "s", first, last, 1.0, "when the push begins, log time"),
             Parameter("event.duration", 0.1, "s", SHORTEST, LONGEST, 0.3, "how long it lasts"),
             Parameter("event.log", 0.0, "1", 0.0, 1e6, 1.0, "index of the log"),
@@ -97,9 +99,9 @@ def push_torque(windows: Windows, push: np.ndarray, system: System) -> Tensor | 
         w, k = np.nonzero(share[lanes].any(0))
         if len(w):
             forces = torch.from_numpy(np.stack([own[n][lanes] for n in Push.FORCE]))
-            along = torch.from_numpy(own["event.along"][lanes])
+            point = torch.from_numpy(np.stack([own[n][lanes] for n in Push.AT]))
             positions = positions_at(windows, system, w, (k + 0.5) * windows.step)
-            loads = system.loads_of_push(int(index), along[:, None], positions.unbind(0))  # (3, J, l, K)
+            loads = system.loads_of_push(int(index), point[:, :, None], positions.unbind(0))  # (3, J, l, K)
             given = (forces[:, None, :, None] * loads).sum(0) * torch.from_numpy(share[lanes][:, w, k])
             for j in range(system.joints):
                 result[j][torch.from_numpy(lanes)[:, None], torch.from_numpy(w), torch.from_numpy(k)] += (

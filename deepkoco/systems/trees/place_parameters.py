@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -11,9 +12,10 @@ from deepkoco.systems.parameter import Parameter
 from deepkoco.systems.trees.outside_forces import AXES
 from deepkoco.systems.trees.places import body_places, link_line
 from deepkoco.systems.trees.scales import random_poses
-from deepkoco.systems.trees.tree import Joint, Tree
+from deepkoco.systems.trees.tree import Body, Joint, Site, Tree
 
 FAINT = 1e-9  # lever that is rounding [m, or 1 for a slide]
+SQUARE = 1e-6  # sine of an angle below which two lines are parallel
 SHORTEST_LINK = 1e-3  # on which the place of a payload makes a difference [m]
 AHEAD, BEHIND = (
     2.0,
@@ -38,18 +40,38 @@ def payload_ways(tree: Tree) -> dict[str, PayloadWay]:
         direction, length = link_line(tree, site)
         if length < SHORTEST_LINK:
             continue
-        rotation, _ = frames[site.joint]
-        turning = [
-            np.cross(frames[k][0][:, :, 2], rotation @ direction)
-            for k in _to_base(tree.joints, site.joint)
-            if not tree.joints[k].slides
-        ]
-        if max((float(np.abs(lever).max()) for lever in turning), default=0.0) < FAINT:
+        if not _turns(tree, frames, site.joint, direction):
             continue
         at = float(direction @ site.offset)
         length = max(length, 2.0 * abs(at), _room_for_tool(tree, site.joint))
         found[site.name] = PayloadWay(at, min(at, 0.0) - BEHIND * length, AHEAD * length, 0.5 * length)
     return found
+
+
+def sideways(tree: Tree, site: Site) -> tuple[tuple[str, np.ndarray], ...]:
+    """Directions (3,) in the joint's frame that are square to a body's line and that its joints turn, with their names.
+
+    ``across`` is square to the joint's axis too; ``beside`` is square to ``across``.
+    """
+    direction, _ = link_line(tree, site)
+    square = np.cross((0.0, 0.0, 1.0), direction)
+    if np.linalg.norm(square) < SQUARE:
+        square = np.cross((0.0, 1.0, 0.0), direction)
+    across = square / np.linalg.norm(square)
+    frames = _frames(tree)
+    named = (("across", across), ("beside", np.cross(direction, across)))
+    return tuple((name, way) for name, way in named if _turns(tree, frames, site.joint, way))
+
+
+def thickness(body: Body, direction: np.ndarray) -> float:
+    """Radius [m] of a cylinder of a body's mass with its inertia about its centre of mass, around a direction (3,).
+
+    Args:
+        body: The body.
+        direction: Unit vector in the frame of its joint.
+    """
+    own = np.array(body.axes).T @ np.array(body.frame.rotation).T @ direction
+    return math.sqrt(2.0 * float(own**2 @ np.array(body.moments)) / body.mass) if body.mass > 0.0 else 0.0
 
 
 def force_parameters(tree: Tree, load_scales: Sequence[float]) -> dict[str, tuple[Parameter, ...]]:
@@ -83,6 +105,19 @@ def force_levers(tree: Tree) -> list[tuple[int, np.ndarray]]:
             levers[k] = np.abs(arm).max(0)
         found.append((site.joint, np.where(levers > FAINT, levers, 0.0)))
     return found
+
+
+def _turns(
+    tree: Tree, frames: Sequence[tuple[np.ndarray, np.ndarray]], joint: int, direction: np.ndarray
+) -> bool:
+    """Whether a hinge between a joint and the base turns a direction (3,) of that joint's frame."""
+    rotation, _ = frames[joint]
+    turning = [
+        np.cross(frames[k][0][:, :, 2], rotation @ direction)
+        for k in _to_base(tree.joints, joint)
+        if not tree.joints[k].slides
+    ]
+    return max((float(np.abs(lever).max()) for lever in turning), default=0.0) >= FAINT
 
 
 def _room_for_tool(tree: Tree, joint: int) -> float:

@@ -382,8 +382,8 @@ class TreeSystem(System):
         added = {force_name(site, axis): value for axis, value in force.items()}
         return {**parameters, **{n: v + parameters[n] if n in parameters else v for n, v in added.items()}}
 
-    def loads_of_push(self, place: int, along: Tensor, angles: Sequence[Tensor]) -> Tensor:
-        return loads_of_push(self.tree, self.push_places[place], along, angles)
+    def loads_of_push(self, place: int, point: Tensor, angles: Sequence[Tensor]) -> Tensor:
+        return loads_of_push(self.tree, self.push_places[place], point, angles)
 
     def outline(self, angles: np.ndarray) -> Outline:
         return lines(self.tree, angles, self._view)
