@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from deepkoco.fit.data.per_log_differences import effects_in
+from deepkoco.fit.data.resolved import resolved
 from deepkoco.fit.data.usual_steps import with_usual_steps
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit_types import Fit
@@ -60,7 +61,8 @@ class ShootingProblem:
         delays = channel_delays(late)
         self.late = tuple([c.name for c in system.measurements].index(name) for name in late)
         self.names = tuple(p.name for p in (*system.parameters, *delays)) + Push.NAMES
-        declared = {p.name: p for p in (*system.parameters, *delays)} | Push.declared(system, windows)
+        declared = {p.name: p for p in (*system.parameters, *delays)} | resolved(system, windows)
+        declared |= Push.declared(system, windows)
         self.low = np.array([declared[n].low for n in self.names])
         self.high = np.array([declared[n].high for n in self.names])
         self.scale = np.array([declared[n].prior_sd for n in self.names])

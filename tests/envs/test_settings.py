@@ -14,6 +14,7 @@ ALONG_A_LOG = {
     "gain_drift",
     "periodic",
     "sensor_drift",
+    "sensor_shift",
 }  # they need the past, or the time
 
 

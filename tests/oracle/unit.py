@@ -281,6 +281,9 @@ class _Run:
             if c < self.joints:
                 x += unit._of("sensor_bias", j).get("angle", 0.0)
                 x += unit._of("sensor_drift", j).get("rate", 0.0) * t
+                if shift := unit._of("sensor_shift", j):
+                    moved = (t - shift["start"]) / shift["duration"]
+                    x += shift["angle"] * min(max(moved, 0.0), 1.0)
             noise = channel.noise_sd * unit._of("noise_level", channel.name).get("factor", 1.0)
             x += noise * rng.standard_normal() if self.noisy else 0.0
             x *= unit._of("channel_slip", channel.name).get("factor", 1.0)

@@ -45,6 +45,7 @@ from deepkoco.diagnose.causes.sensor import (
     SENSOR_CROSSTALK,
     SENSOR_DRIFT,
     SENSOR_SCALE,
+    SENSOR_SHIFT,
     SPEED_BIAS,
 )
 from deepkoco.diagnose.causes.timing import (
@@ -106,6 +107,7 @@ CAUSES: dict[str, Cause] = {
         SENSOR_SCALE,
         CHANNEL_SCALE,
         SENSOR_DRIFT,
+        SENSOR_SHIFT,
         SENSOR_CROSSTALK,
         LOW_PASS,
         ELASTIC,

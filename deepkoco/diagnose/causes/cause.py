@@ -42,6 +42,7 @@ class Hint(NamedTuple):
     missing: MissingTorque | None  # missing load of the refitted baseline at this joint
     strained: bool = False  # whether the refitted baseline is far from its prior
     interval: float = 0.0  # time from one command to the next [s]
+    shifts: tuple[Mapping[str, float], ...] = ()  # when a moved zero of the joint's sensor lowers chi2 most
 
 
 Axis = Literal["omega", "theta", "command", "time", "command_rate"]

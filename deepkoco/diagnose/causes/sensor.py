@@ -57,6 +57,19 @@ SENSOR_DRIFT = Cause(
     "time",
     lambda motion: np.cos(motion.theta) * (motion.time - motion.time.mean()),
 )
+SENSOR_SHIFT = Cause(
+    "sensor_shift",
+    "sensor",
+    ("angle", "start", "duration"),
+    "The zero of the position sensor moves once and stays so: a belt jumps a tooth, a coupling or an encoder slips, a "
+    "counter loses a turn.",
+    "Return to the same mechanical stop before and after that time and compare the readings.",
+    "time",
+    lambda motion: np.cos(motion.theta) * (motion.time > motion.time.mean()),
+    lambda hint: [dict(shift) for shift in hint.shifts],
+    searched=True,
+    shape=("start", "duration"),
+)
 SENSOR_CROSSTALK = Cause(
     "sensor_crosstalk",
     "sensor",

@@ -24,6 +24,8 @@ SHAPES = (
     "frequency",
     "cycles",
     "pitch",
+    "start",
+    "duration",
 )  # they choose where a cause acts; at their bounds the cause is still the same
 
 

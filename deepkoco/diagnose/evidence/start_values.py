@@ -61,6 +61,7 @@ class Hints:
             self.missing[joint],
             self.strained,
             self.interval,
+            self.missing[joint].shifts,
         )
 
     def _speeds(self, joint: int) -> np.ndarray:

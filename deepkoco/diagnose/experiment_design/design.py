@@ -208,7 +208,7 @@ def known_causes(system: System, names: Sequence[str]) -> list[Cause]:
                 f"{cause.name} shows equally in every sequence with fast and large changes of the command, so there is "
                 f"nothing to design. {cause.advice}"
             )
-        if not cause.free or cause.effect == "event":
+        if not cause.free or cause.searched:
             raise DesignError(f"no command sequence can test {cause.name}. {cause.advice}")
     return causes
 

@@ -35,6 +35,8 @@ SHAPES = (
     "ratio",
     "distance",
     "relaxation",
+    "start",
+    "duration",
 )  # useless while the size is null
 
 

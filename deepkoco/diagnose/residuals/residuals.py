@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from deepkoco.diagnose.residuals.loaded import under_loads, with_steps_for
+from deepkoco.diagnose.residuals.shifts import shifts_of_zero
 from deepkoco.diagnose.residuals.waves import Waves
 from deepkoco.fit.data.per_log_differences import effects_in
 from deepkoco.fit.data.positions import positions_at
@@ -131,6 +132,7 @@ class MissingTorque:
         name: Name of the joint.
         together: What loads on all joints explain; None where no body can be pushed.
         waves: What loads that repeat along the way explain; None where it is not asked.
+        shifts: Parameters of the moves of its sensor's zero that lower chi2 most, the best first.
     """
 
     joint: int
@@ -146,6 +148,7 @@ class MissingTorque:
     name: str = ""
     together: SlotLoads | None = None
     waves: Waves | None = None
+    shifts: tuple[dict[str, float], ...] = ()
 
     @property
     def load(self) -> str:
@@ -244,6 +247,7 @@ def missing_torque(problem: FitProblem, fit: Fit, inflation: float = 1.0) -> tup
             system.joint_names[j],
             together,
             Waves(exact, fit, base, j, whole[:, :, j]),
+            shifts_of_zero(problem, j, residual, basis),
         )
         result.append(found)
     return tuple(result)

@@ -33,6 +33,7 @@ from deepkoco.systems.effects.sensor import (
     SENSOR_CROSSTALK,
     SENSOR_DRIFT,
     SENSOR_SCALE,
+    SENSOR_SHIFT,
     SPEED_BIAS,
 )
 from deepkoco.systems.effects.timing import (
@@ -98,6 +99,7 @@ EFFECTS: dict[str, Effect] = {
         SENSOR_BIAS,
         SPEED_BIAS,
         SENSOR_DRIFT,
+        SENSOR_SHIFT,
         SENSOR_CROSSTALK,
         LOW_PASS,
         CHANNEL_SLIP,
@@ -112,4 +114,13 @@ def effects_of(system: System) -> dict[str, PlacedEffect]:
     return {placed.name: placed for effect in EFFECTS.values() for placed in place(effect, system)}
 
 
-__all__ = ["EFFECTS", "Effect", "JointState", "PlacedEffect", "SensorSite", "effects_of", "place"]
+__all__ = [
+    "EFFECTS",
+    "SENSOR_SHIFT",
+    "Effect",
+    "JointState",
+    "PlacedEffect",
+    "SensorSite",
+    "effects_of",
+    "place",
+]

@@ -12,6 +12,7 @@ from deepkoco.systems.parameter import Parameter, Parameters
 from deepkoco.systems.system import System
 
 LONG = 30.0  # time over which a drift is judged [s]
+BRIEFEST, LONGEST = 1e-3, 5.0  # in which a sensor's zero moves [s]
 
 
 def _changed(measurement: Tensor, channels: tuple[int, ...], change: Callable[[Tensor], Tensor]) -> Tensor:
@@ -84,6 +85,24 @@ def _apply_drift(measurement: Tensor, site: SensorSite, p: Parameters) -> Tensor
     return _changed(measurement, site.positions, lambda x: x + p["rate"] * time)
 
 
+def _shift(system: System, joint: int = 0) -> tuple[Parameter, ...]:
+    unit = system.state_units[joint]
+    return (
+        Parameter("angle", 0.0, unit, -10.0, 10.0, 0.1, "by how much the zero of the position sensor moves"),
+        Parameter("start", 0.0, "s", 0.0, 1e6, 1.0, "when it begins to move, since the log's first command"),
+        Parameter("duration", 0.05, "s", BRIEFEST, LONGEST, 0.1, "how long it moves"),
+    )
+
+
+def _apply_shift(measurement: Tensor, site: SensorSite, p: Parameters) -> Tensor:
+    if site.time is None:
+        if not bool((p["angle"] != 0.0).any()):
+            return measurement
+        raise ValueError("a shift of a sensor's zero needs the time; it can be simulated along a log only")
+    moved = p["angle"] * ((site.time - p["start"]) / p["duration"]).clamp(0.0, 1.0)
+    return _changed(measurement, site.positions, lambda x: x + moved)
+
+
 def _slip(system: System, channel: int = 0) -> tuple[Parameter, ...]:
     text = "c, reading per true value: a constant between units"
     return (Parameter("factor", 1.0, "1", -2000.0, 2000.0, 1.0, text),)
@@ -147,6 +166,9 @@ SENSOR_CROSSTALK = Effect(
 )
 SENSOR_DRIFT = Effect(
     "sensor_drift", "sensor", "sensor", _drift, "the position sensor's zero drifts", _apply_drift
+)
+SENSOR_SHIFT = Effect(
+    "sensor_shift", "sensor", "sensor", _shift, "the position sensor's zero moves once", _apply_shift
 )
 CHANNEL_SLIP = Effect(
     "channel_slip",

@@ -1,0 +1,76 @@
+"""A moved zero of a position sensor: when it explains most of what a fit leaves."""
+
+from __future__ import annotations
+
+import numpy as np
+from torch import Tensor
+
+from deepkoco.fit.fit import FitProblem
+
+MOST = 3  # starts
+APART = 10  # samples between two of one window
+QUICK = 2.0  # sample periods in which a zero moves at its starts
+
+
+def shifts_of_zero(
+    problem: FitProblem, joint: int, residual: Tensor, basis: Tensor
+) -> tuple[dict[str, float], ...]:
+    """Return parameters of the moves of a joint's zero that lower chi2 most, the best first; none for several logs.
+
+    A zero that moves at a sample is a step in the residuals of that window, and a constant in those of all later ones.
+    Whatever of it an initial state explains is taken out. Parameters of the simulation are not: what these explain is
+    asked when the starts are screened.
+
+    Args:
+        problem: W windows with N channels of M samples.
+        joint: The joint.
+        residual: (W, NM, 1) residuals in noise standard deviations, without what initial states explain.
+        basis: (W, NM, S) orthonormal responses to the initial states.
+    """
+    windows = problem.windows
+    channels = [c for c, s in enumerate(windows.shows) if s == joint]
+    if len(np.unique(windows.log)) > 1 or not channels or not len(windows):
+        return ()
+    count, size, samples = windows.value.shape
+    own = residual.reshape(count, size, samples).numpy()
+    states = basis.reshape(count, size, samples, -1).numpy()
+    weight = problem.weight.numpy()
+    match, energy = np.zeros((2, count, samples))
+    shown = np.zeros((count, samples, states.shape[-1]))
+    for c in channels:
+        match += _from_here(weight[:, c] * own[:, c])
+        energy += _from_here(weight[:, c] ** 2)
+        shown += _from_here(weight[:, c, :, None] * states[:, c])
+    energy -= (shown**2).sum(-1)
+    order = np.argsort(windows.t0)
+    later_match, later_energy = np.zeros((2, count))
+    later_match[order] = _after(match[order, 0])
+    later_energy[order] = _after(energy[order, 0])
+    total, known = match + later_match[:, None], energy + later_energy[:, None]
+    valid = windows.valid[:, channels[0]].numpy()
+    # What is left of a step after the initial state is rounding at the ends of a window.
+    sound = valid & (known > 1e-6 * known.max())
+    amount = np.where(sound, total / np.where(sound, known, 1.0), 0.0)
+    fall = np.where(sound, total * amount, -np.inf)
+    times = windows.t[:, channels[0]].numpy()
+    began = float(windows.commands[int(windows.log[0])].t[0])
+    period = float(np.median(np.diff(times, axis=1)[valid[:, 1:] & valid[:, :-1]]))
+    found = []
+    for _ in range(MOST):
+        w, k = np.unravel_index(int(np.argmax(fall)), fall.shape)
+        if not fall[w, k] > 0.0:
+            break
+        start = float(windows.t0[w] + times[w, k]) - began - 0.5 * (QUICK + 1.0) * period
+        found.append({"angle": float(amount[w, k]), "start": max(start, 0.0), "duration": QUICK * period})
+        fall[w, max(k - APART, 0) : k + APART] = -np.inf
+    return tuple(found)
+
+
+def _from_here(values: np.ndarray) -> np.ndarray:
+    """Sum of each value of the samples (W, M, ...) and those after it."""
+    return np.flip(np.cumsum(np.flip(values, 1), 1), 1)
+
+
+def _after(values: np.ndarray) -> np.ndarray:
+    """Sum of the values (W,) after each one."""
+    return np.cumsum(values[::-1])[::-1] - values
