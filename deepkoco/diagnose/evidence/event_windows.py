@@ -1,19 +1,22 @@
-"""Windows that a push touches: they are fitted, and lasting causes are measured on the other windows."""
+"""Windows in which something happens once: they are fitted, and lasting causes are measured on the other windows."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 import torch
 
 from deepkoco.diagnose.baseline import Baseline
-from deepkoco.diagnose.residuals.residuals import missing_torque
+from deepkoco.diagnose.residuals.residuals import MissingTorque, missing_torque
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 
 MIN_FALL = 30.0  # fall of chi2 by a push in one slot, far above the largest fall by chance over all slots
+MIN_SHARE = (
+    0.5  # share of a window's chi2 that a step of a zero explains; of a model error it explains little
+)
 MIN_RATIO = 4.0  # that fall, over the fall in a typical window
 MIN_OTHER_WINDOWS = 3  # windows without the push that a refit needs
 
@@ -21,10 +24,10 @@ MIN_OTHER_WINDOWS = 3  # windows without the push that a refit needs
 def train_on_pushed(
     start: Baseline, train: Windows, held: Windows, reference: Fit
 ) -> tuple[Windows, Windows, Fit]:
-    """Move held-out windows in which a push stands out to the fitted windows.
+    """Move held-out windows in which a push, or a step of a sensor's zero, stands out to the fitted windows.
 
     No other window shows that push, so it can only be found if its window is fitted. Such a window also cannot
-    measure lasting causes.
+    measure lasting causes. The step of a zero shows in all later windows, and its time in one of them only.
 
     Args:
         start: The baseline.
@@ -33,16 +36,17 @@ def train_on_pushed(
         reference: Refit of the baseline on ``train``.
 
     Returns:
-        Fitted windows, held-out windows and the refit; unchanged if no push stands out.
+        Fitted windows, held-out windows and the refit; unchanged if nothing stands out.
     """
     fitted = FitProblem(start.system, train)
-    seen = _largest(fitted, reference)
+    seen = missing_torque(fitted, reference)
     problem = FitProblem(start.system, fitted.elsewhere(held, reference))
     unfitted = problem.evaluate(reference.values, "held back")
-    found = _largest(problem, unfitted)
-    pushed = found > max(MIN_FALL, MIN_RATIO * float(np.median(seen)))
-    # If many windows stand out, the reason is not a push. The gain also needs some held-out windows.
-    if not pushed.any() or pushed.sum() > max(len(held) // 3, 1) or pushed.all():
+    found = missing_torque(problem, unfitted)
+    left = unfitted.residual.square().sum((1, 2)).numpy()
+    stepped = _apart(_steps(seen), _steps(found)) & (_steps(found) > MIN_SHARE * left)
+    pushed = _few(_apart(_pushes(seen), _pushes(found))) | _few(stepped)
+    if not pushed.any() or pushed.all():
         return train, held, reference
     both = _joined(train, held.take(pushed))
     state = torch.cat([reference.state, unfitted.state[torch.from_numpy(np.flatnonzero(pushed))]])
@@ -83,9 +87,28 @@ def refit_elsewhere(start: Baseline, windows: Windows, reference: Fit, pushed: F
     return FitProblem(start.system, windows.take(keep)).fit_one(trial)
 
 
-def _largest(problem: FitProblem, fit: Fit) -> np.ndarray:
+def _pushes(missing: Sequence[MissingTorque]) -> np.ndarray:
     """Return (W,) the largest fall of chi2 by a push in one slot of each window, over all joints."""
-    return np.max([missing.score.max(1) for missing in missing_torque(problem, fit)], axis=0)
+    return np.max([joint.score.max(1) for joint in missing], axis=0)
+
+
+def _steps(missing: Sequence[MissingTorque]) -> np.ndarray:
+    """Return (W,) the largest fall of chi2 by a step of a sensor's zero in each window, over all joints."""
+    return np.max([joint.steps for joint in missing], axis=0)
+
+
+def _apart(seen: np.ndarray, found: np.ndarray) -> np.ndarray:
+    """Return (W,) whether the falls of held-out windows are far above those of fitted ones and of chance."""
+    return found > max(MIN_FALL, MIN_RATIO * float(np.median(seen)))
+
+
+def _few(windows: np.ndarray) -> np.ndarray:
+    """Return which of these windows (W,) stand out; none where many do: then the reason lasts.
+
+    The gain also needs some held-out windows.
+    """
+    many = windows.sum() > max(len(windows) // 3, 1)
+    return np.zeros_like(windows) if many else windows
 
 
 def _joined(a: Windows, b: Windows) -> Windows:

@@ -35,7 +35,7 @@ def prior_with(
     prior = start.prior
     for cause in causes:
         # A frequency, a start or a duration has no null value: its prior is centred where the search found it.
-        shapes = {*Push.WHEN, f"{cause.effect}.frequency"}
+        shapes = {f"{cause.effect}.{n}" for n in ("frequency", "start", "duration")}
         centre = {n: values[n] if n in shapes else start.values[n] for n in cause.free}
         own = [
             replace(p, prior_sd=max(p.prior_sd, abs(values[p.name] - centre[p.name])))

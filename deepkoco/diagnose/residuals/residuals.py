@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from deepkoco.diagnose.residuals.loaded import under_loads, with_steps_for
-from deepkoco.diagnose.residuals.shifts import shifts_of_zero
+from deepkoco.diagnose.residuals.shifts import shifts_of_zero, steps_of_zero
 from deepkoco.diagnose.residuals.waves import Waves
 from deepkoco.fit.data.per_log_differences import effects_in
 from deepkoco.fit.data.positions import positions_at
@@ -133,6 +133,7 @@ class MissingTorque:
         together: What loads on all joints explain; None where no body can be pushed.
         waves: What loads that repeat along the way explain; None where it is not asked.
         shifts: Parameters of the moves of its sensor's zero that lower chi2 most, the best first.
+        steps: (W,) largest fall of chi2 by a step of that zero in each window alone.
     """
 
     joint: int
@@ -149,6 +150,7 @@ class MissingTorque:
     together: SlotLoads | None = None
     waves: Waves | None = None
     shifts: tuple[dict[str, float], ...] = ()
+    steps: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     @property
     def load(self) -> str:
@@ -248,6 +250,7 @@ def missing_torque(problem: FitProblem, fit: Fit, inflation: float = 1.0) -> tup
             together,
             Waves(exact, fit, base, j, whole[:, :, j]),
             shifts_of_zero(problem, j, residual, basis),
+            steps_of_zero(problem, j, residual, basis),
         )
         result.append(found)
     return tuple(result)

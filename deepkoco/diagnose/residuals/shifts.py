@@ -28,30 +28,17 @@ def shifts_of_zero(
         basis: (W, NM, S) orthonormal responses to the initial states.
     """
     windows = problem.windows
-    channels = [c for c, s in enumerate(windows.shows) if s == joint]
+    channels = _channels(problem, joint)
     if len(np.unique(windows.log)) > 1 or not channels or not len(windows):
         return ()
-    count, size, samples = windows.value.shape
-    own = residual.reshape(count, size, samples).numpy()
-    states = basis.reshape(count, size, samples, -1).numpy()
-    weight = problem.weight.numpy()
-    match, energy = np.zeros((2, count, samples))
-    shown = np.zeros((count, samples, states.shape[-1]))
-    for c in channels:
-        match += _from_here(weight[:, c] * own[:, c])
-        energy += _from_here(weight[:, c] ** 2)
-        shown += _from_here(weight[:, c, :, None] * states[:, c])
-    energy -= (shown**2).sum(-1)
+    match, energy = _told(problem, channels, residual, basis)
     order = np.argsort(windows.t0)
-    later_match, later_energy = np.zeros((2, count))
+    later_match, later_energy = np.zeros((2, len(windows)))
     later_match[order] = _after(match[order, 0])
     later_energy[order] = _after(energy[order, 0])
     total, known = match + later_match[:, None], energy + later_energy[:, None]
     valid = windows.valid[:, channels[0]].numpy()
-    # What is left of a step after the initial state is rounding at the ends of a window.
-    sound = valid & (known > 1e-6 * known.max())
-    amount = np.where(sound, total / np.where(sound, known, 1.0), 0.0)
-    fall = np.where(sound, total * amount, -np.inf)
+    amount, fall = _explained(total, known, valid)
     times = windows.t[:, channels[0]].numpy()
     began = float(windows.commands[int(windows.log[0])].t[0])
     period = float(np.median(np.diff(times, axis=1)[valid[:, 1:] & valid[:, :-1]]))
@@ -64,6 +51,45 @@ def shifts_of_zero(
         found.append({"angle": float(amount[w, k]), "start": max(start, 0.0), "duration": QUICK * period})
         fall[w, max(k - APART, 0) : k + APART] = -np.inf
     return tuple(found)
+
+
+def steps_of_zero(problem: FitProblem, joint: int, residual: Tensor, basis: Tensor) -> np.ndarray:
+    """Return (W,) the largest fall of chi2 by a step of a joint's zero within each window; all as above."""
+    channels = _channels(problem, joint)
+    if not channels or not len(problem.windows):
+        return np.zeros(len(problem.windows))
+    match, energy = _told(problem, channels, residual, basis)
+    _, fall = _explained(match, energy, problem.windows.valid[:, channels[0]].numpy())
+    return np.maximum(fall.max(1), 0.0)
+
+
+def _channels(problem: FitProblem, joint: int) -> list[int]:
+    return [c for c, s in enumerate(problem.windows.shows) if s == joint]
+
+
+def _told(
+    problem: FitProblem, channels: list[int], residual: Tensor, basis: Tensor
+) -> tuple[np.ndarray, np.ndarray]:
+    """Slope and curvature (W, M) of half of chi2 by a step at each sample, that lasts to the end of its window."""
+    count, size, samples = problem.windows.value.shape
+    own = residual.reshape(count, size, samples).numpy()
+    states = basis.reshape(count, size, samples, -1).numpy()
+    weight = problem.weight.numpy()
+    match, energy = np.zeros((2, count, samples))
+    shown = np.zeros((count, samples, states.shape[-1]))
+    for c in channels:
+        match += _from_here(weight[:, c] * own[:, c])
+        energy += _from_here(weight[:, c] ** 2)
+        shown += _from_here(weight[:, c, :, None] * states[:, c])
+    return match, energy - (shown**2).sum(-1)
+
+
+def _explained(match: np.ndarray, energy: np.ndarray, valid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Best step, and its fall of chi2, at each sample (W, M); minus infinity where none can be told."""
+    # What is left of a step after the initial state is rounding at the ends of a window.
+    sound = valid & (energy > 1e-6 * energy.max())
+    amount = np.where(sound, match / np.where(sound, energy, 1.0), 0.0)
+    return amount, np.where(sound, match * amount, -np.inf)
 
 
 def _from_here(values: np.ndarray) -> np.ndarray:
