@@ -11,13 +11,12 @@ import torch
 
 from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause, kind_of
-from deepkoco.diagnose.evidence.event_windows import refit_elsewhere
+from deepkoco.diagnose.evidence.event_windows import as_in, of_same_logs, refit_elsewhere, touched
 from deepkoco.diagnose.evidence.flexible import PUSHES
 from deepkoco.diagnose.refitted import Refitted
 from deepkoco.fit.data.halves import halved
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem, Trial
-from deepkoco.fit.simulate.push import QUIET
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.logs.part import seconds
 from deepkoco.systems import ExtendedSystem
@@ -85,10 +84,15 @@ def gain_on_held_out(base: Refitted, final: Fit, accepted: Sequence[Cause], seed
     """
     if base.held is None:
         return None
-    refit = base.reference
+    refit, held = base.reference, base.held
     if final is not refit and any(c.effect == "event" for c in accepted):
         refit = refit_elsewhere(base.start, base.train, refit, final)
-    return gain_of_fits(base.problem, base.start, base.held, refit, final, seed)
+        if of_same_logs(held, base.train):
+            # What lasts is measured where nothing happens; a long push acts in windows that are held out, too.
+            held = held.take(~touched(held, final.values))
+        if len(held) == 0:
+            return None
+    return gain_of_fits(base.problem, base.start, held, refit, final, seed)
 
 
 def gain_of_fits(
@@ -109,9 +113,9 @@ def gain_of_fits(
     """
     models = {
         "baseline": start.values,
-        "refit": {**refit.values, **QUIET},
-        "extended": {**extended.values, **QUIET},
-    }  # a push does not repeat
+        "refit": as_in(held, refit.values, problem.windows),
+        "extended": as_in(held, extended.values, problem.windows),
+    }
     windows = {
         "baseline": replace(held, varies={}),
         "refit": problem.elsewhere(held, refit),

@@ -10,6 +10,7 @@ import numpy as np
 from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause, kind_of
 from deepkoco.diagnose.evidence.absorbed import alike
+from deepkoco.diagnose.evidence.event_windows import as_in
 from deepkoco.diagnose.evidence.flexible import BENDING, FLEXIBLE_CAUSES, PUSHES
 from deepkoco.diagnose.evidence.priors import prior_with
 from deepkoco.diagnose.evidence.ranking import penalty
@@ -136,7 +137,7 @@ def carried(
 
 
 def held_out_chi2(problem: FitProblem, start: Baseline, fit: Fit, held: Windows) -> np.ndarray:
-    """Return chi2 (W,) of a fit in each held-out window, without its push; the initial states are fitted there.
+    """Return chi2 (W,) of a fit in each held-out window; the initial states are fitted there.
 
     Args:
         problem: The windows of the fit.
@@ -145,7 +146,7 @@ def held_out_chi2(problem: FitProblem, start: Baseline, fit: Fit, held: Windows)
         held: Held-out windows.
     """
     unseen = FitProblem(start.system, problem.elsewhere(held, fit))
-    replayed = unseen.evaluate({**fit.values, **QUIET}, "held back")
+    replayed = unseen.evaluate(as_in(held, fit.values, problem.windows), "held back")
     return (replayed.residual**2).sum((1, 2)).numpy()
 
 

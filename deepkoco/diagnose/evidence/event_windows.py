@@ -12,6 +12,8 @@ from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.residuals.residuals import MissingTorque, missing_torque
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem, Trial
+from deepkoco.fit.simulate.push import QUIET
+from deepkoco.systems.effects import SENSOR_SHIFT
 
 MIN_FALL = 30.0  # fall of chi2 by a push in one slot, far above the largest fall by chance over all slots
 MIN_SHARE = (
@@ -62,6 +64,29 @@ def touched(windows: Windows, values: Mapping[str, float]) -> np.ndarray:
     end = begin + values["event.duration"]
     during = (windows.t0 < end) & (windows.t0 + windows.length > begin)
     return (windows.log == values["event.log"]) & during
+
+
+def as_in(held: Windows, values: Mapping[str, float], fitted: Windows) -> dict[str, float]:
+    """Return parameters for held-out windows: what happens once acts in those of its log too, and in no other log.
+
+    A push for some seconds begins in one window and ends in a later one; one between them may be held out.
+
+    Args:
+        held: The held-out windows.
+        values: All parameters of a fit.
+        fitted: The windows that were fitted.
+    """
+    if of_same_logs(held, fitted):
+        return dict(values)
+    moved = [n for n in values if n.startswith(SENSOR_SHIFT.name) and n.endswith(".angle")]
+    return {**values, **QUIET, **dict.fromkeys(moved, 0.0)}
+
+
+def of_same_logs(a: Windows, b: Windows) -> bool:
+    """Return whether two sets of windows were cut from the same logs."""
+    return len(a.commands) == len(b.commands) and all(
+        mine.t is theirs.t for mine, theirs in zip(a.commands, b.commands, strict=True)
+    )
 
 
 def refit_elsewhere(start: Baseline, windows: Windows, reference: Fit, pushed: Fit) -> Fit:

@@ -331,13 +331,16 @@ def settled(
             trial,
             *(replace(trial, values={**trial.values, **v}) for v in winner.cause.valley(trial.values)),
         ]
-        found = min(problem.fit(along, SCOUTING, CLOSE), key=lambda f: f.cost)
+        fits = problem.fit(along, SCOUTING, CLOSE)
+        found = min(fits, key=lambda f: f.cost)
         won = fit.cost - found.cost
         if won > 0.0:
-            fit, trial = (
-                found,
-                trial.from_fit(found),
-            )
+            fit, trial = found, trial.from_fit(found)
         if won < CLOSE:
+            break
+        if found is fits[0]:
+            # No other start of the valley is better: the rest is a matter of a few steps.
+            found = problem.fit([trial], PATIENCE, tolerance)[0]
+            fit = found if found.cost < fit.cost else fit
             break
     return fit

@@ -30,7 +30,8 @@ def resolved(system: ExtendedSystem, windows: Windows) -> dict[str, Parameter]:
         for p in placed.parameters(system.base):
             name = f"{placed.name}.{p.name}"
             if p.name == "duration" and len(gaps):
-                found[name] = replace(p, name=name, low=min(float(np.median(gaps)), p.high))
+                low = min(float(np.median(gaps)), p.high)
+                found[name] = replace(p, name=name, low=low, value=max(p.value, low))
             if p.name == "start":
                 ends = [c.t[-1] - c.t[0] for c in windows.commands if len(c.t)]
                 found[name] = replace(p, name=name, high=max(float(max(ends)), 1.0))
