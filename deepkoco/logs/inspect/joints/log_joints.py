@@ -12,11 +12,11 @@ from deepkoco.logs.inspect.survey import ColumnSurvey
 from deepkoco.logs.units import parse_unit
 
 GOAL = {*COMMANDED, *WANTED, "commands", "goals", "actions", "targets", "trajectory", "controls"}
-MEASURED = {"meas", "measured", "actual", "feedback", "observation", "state", "states"}
+MEASURED = {"meas", "measured", "actual", "feedback", "observation", "state", "states", "ist", "istwert"}
 # A short word for a length is as often a name: x, y and z of an axis, the hub of a wheel.
 POSITION = {*said_by("angle"), "angles", *(word for word in said_by("length") if len(word) > 3)}
-SPEED = said_by("angular velocity")
-EFFORT = {*said_by("torque"), *said_by("current"), "load", "torques", "currents"}
+SPEED = {*said_by("angular velocity"), *(word for word in said_by("velocity") if len(word) > 2)}
+EFFORT = {*said_by("torque"), *said_by("force"), *said_by("current"), "load", "torques", "currents"}
 LOADS = ("torque", "force")
 EFFORTS = (*LOADS, "current", "voltage")
 RATES = {"angle": "angular velocity", "length": "velocity"}
@@ -80,6 +80,7 @@ def log_joints(
     """
     found: dict[str, LogJoint] = {}
     said: set[str] = set()
+    by_unit: set[str] = set()
     known = {"_".join(words_of(name)) for name in joints}
     fitting = {parse_unit(unit).quantity for unit in units}
     for column in columns:
@@ -93,10 +94,12 @@ def log_joints(
             said.add(label)
         if role is None:
             role = _role_by_unit(column, named=label in known) or ("position" if label in known else None)
+            by_unit |= set() if role is None or label in known else {label}
         if role is not None and _fits(column, role, fitting):
             found.setdefault(label, LogJoint(label)).columns.setdefault(role, column)
     _take_states(columns, found)
     _join_goals(found)
+    _join_by_units(found, by_unit)
     result = [joint for joint in found.values() if "position" in joint.columns]
     named = [joint for joint in result if joint.label in said]
     if joints and len(named) >= len(joints):
@@ -145,6 +148,34 @@ def _join_goals(found: dict[str, LogJoint]) -> None:
             del found[label]
 
 
+def _join_by_units(found: dict[str, LogJoint], by_unit: set[str]) -> None:
+    """Give `Z_vitesse [mm/s]` and `Z_couple [Nm]` to the joint of `Z_pos`: units say what words do not.
+
+    One word is more than the name of the joint has. Where two such columns have one role, the word tells two joints.
+    """
+    shorter: dict[str, list[str]] = {}
+    for label in sorted(by_unit & found.keys()):
+        words = label.split("_")
+        for k in range(len(words)):
+            if stem := "_".join(words[:k] + words[k + 1 :]):
+                shorter.setdefault(stem, []).append(label)
+    for stem, labels in shorter.items():
+        own = [found[label] for label in labels if label in found]
+        joint = found.get(stem, LogJoint(stem))
+        roles = [role for other in (joint, *own) for role in other.columns]
+        alone = all(len(other.columns) == 1 for other in own)
+        if (
+            not alone
+            or len(own) + (stem in found) < 2
+            or len(set(roles)) < len(roles)
+            or "position" not in roles
+        ):
+            continue
+        for other in own:
+            joint.columns |= found.pop(other.label).columns
+        found[stem] = joint
+
+
 def _fits(column: ColumnSurvey, role: str | None, fitting: set[str]) -> bool:
     """Whether the unit in a column's name, if there is one, is that of a position or a speed of the model's joints."""
     if column.hints.unit is None or role not in ("position", "speed", "goal speed"):
@@ -191,12 +222,7 @@ def role_of(column: ColumnSurvey) -> tuple[str | None, str]:
     symbol, _, rest = label.partition("_")
     words = words_of(column.name)
     # `n_soll Lift [1/min]` is of the lift, and `m_left_torque [Nm]` of a joint m_left.
-    if (
-        rest
-        and symbol in SYMBOLS.get(quantity, ())
-        and words[0] == symbol
-        and words[1] in GOAL | MEASURED | {"ist"}
-    ):
+    if rest and symbol in SYMBOLS.get(quantity, ()) and words[0] == symbol and words[1] in GOAL | MEASURED:
         label = rest
     if role != "goal":
         return role, label
