@@ -17,8 +17,8 @@ CRANE = """<mujoco model="crane"><option integrator="implicitfast" timestep="0.0
 RATE, SECONDS, NOISE = 50, 20.0, (1e-4, 5e-4)
 
 
-def moved(force, low, begins, lasts, seed=3):
-    """Log of a crane whose load is pushed at a point this far below its centre of mass."""
+def moved(force, low, begins, lasts, seed=3, aside=0.0):
+    """Log of a crane whose load is pushed at a point this far below its centre of mass, and this far beside it."""
     model = mujoco.MjModel.from_xml_string(CRANE.format(damping=14.7, mass=3.95))
     data, rng = mujoco.MjData(model), np.random.default_rng(seed)
     t, load = np.arange(0.0, SECONDS, 1.0 / RATE), model.body("load").id
@@ -34,7 +34,8 @@ def moved(force, low, begins, lasts, seed=3):
             mujoco.mj_kinematics(model, data)
             mujoco.mj_comPos(model, data)
             if begins <= data.time < begins + lasts:
-                point = data.xipos[load] - low * data.xmat[load].reshape(3, 3)[:, 2]
+                turn = data.xmat[load].reshape(3, 3)
+                point = data.xipos[load] - low * turn[:, 2] + aside * turn[:, 0]
                 mujoco.mj_applyFT(model, data, np.array(force), np.zeros(3), point, load, data.qfrc_applied)
             mujoco.mj_step(model, data)
     channels = {
@@ -78,3 +79,18 @@ def test_a_crane_that_nobody_pushes_shows_no_push(tmp_path):
     robot = deepkoco.load_system(tmp_path / "crane.xml")
     log = moved((0.0, 0.0, 0.0), 0.0, 5.0, 0.0)
     assert diagnose([log], robot, only=["event", "body_push", "viscous", "payload", "gain"]).names == ()
+
+
+@pytest.mark.study
+@pytest.mark.timeout(300)
+def test_a_rope_at_the_side_of_a_load_is_told_with_its_distance_from_the_line_of_the_link(tmp_path):
+    (tmp_path / "crane.xml").write_text(CRANE.format(damping=15.0, mass=4.0))
+    robot = deepkoco.load_system(tmp_path / "crane.xml")
+    log = moved((5.0, 0.0, -8.0), 0.1, 9.3, 2.4, aside=0.12)
+    found = diagnose([log], robot, only=["event", "body_push", "viscous", "payload", "gain"])
+    assert found.names == ("body_push(load)",)
+    sizes = found.causes[0].parameters
+    assert sizes["event.x"].value == pytest.approx(5.0, rel=0.05)
+    assert sizes["event.start"].value == pytest.approx(9.3, abs=0.05)
+    # A force shows its line of action; a point on it may be any that the link has.
+    assert found.chi2_after < 1.1

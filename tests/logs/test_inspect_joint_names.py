@@ -85,6 +85,30 @@ def test_columns_are_grouped_by_joint(tmp_path, names, joints):
     assert {joint.label: set(joint.columns) for joint in found} == joints
 
 
+@pytest.mark.parametrize(
+    ("names", "joints"),
+    [
+        (
+            ("X_Soll [mm]", "X_Ist [mm]", "X_Geschwindigkeit [mm/s]", "X_Kraft [N]"),
+            {"x": {"goal", "position", "speed", "effort"}},
+        ),
+        # Words of other languages say nothing, units do.
+        (("Z_pos [mm]", "Z_vitesse [mm/s]", "Z_effort_moteur [N]"), {"z": {"position", "speed"}}),
+        (("braccio_angolo [deg]", "braccio_coppia [Nm]"), {"braccio": {"position", "effort"}}),
+        # Two columns of one role are of two joints.
+        (("arm_left [deg]", "arm_right [deg]"), {"arm_left": {"position"}, "arm_right": {"position"}}),
+        (("hip [rad]", "hip_x [rad]"), {"hip": {"position"}, "hip_x": {"position"}}),
+    ],
+)
+def test_units_join_the_columns_of_one_joint_where_words_do_not(tmp_path, names, joints):
+    t = 0.01 * np.arange(40)
+    pd.DataFrame({"t": t, **{n: np.sin(t + k) for k, n in enumerate(names)}}).to_csv(
+        tmp_path / "a.csv", index=False
+    )
+    found = log_joints(survey_log(open_log(tmp_path / "a.csv")).columns, units=("rad", "m"))
+    assert {joint.label: set(joint.columns) for joint in found} == joints
+
+
 PAN_TILT = """<mujoco><compiler angle="radian"/><worldbody><body name="base" pos="0 0 0.1">
 <joint name="pan" axis="0 0 1" damping="0.02"/><geom size="0.05" mass="0.4"/><body name="camera" pos="0 0 0.08">
 <joint name="tilt" axis="0 1 0" damping="0.02"/><geom size="0.04" pos="0.03 0 0" mass="0.6"/></body></body></worldbody>

@@ -1,8 +1,9 @@
 """The mapping of logs without a sidecar, where their names leave no doubt.
 
 It is stricter than a proposal, which a user reads before he uses it. Columns are called as joints and actuators are,
-and no column is taken by its place. Units are in the names of the columns, or the values say them: a goal that its
-position follows is in the unit of that position, and a number for an actuator without a unit stays within its limits.
+and no column is taken by its place; only where a robot has one drive, and the log one effort, this drives it. Units are
+in the names of the columns, or the values say them: a goal that its position follows is in the unit of that position,
+and a number for an actuator without a unit stays within its limits.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from deepkoco.logs.inspect.choice import Choice, Proposal, mapping_of
 from deepkoco.logs.inspect.fitting import Fitting, NoProposalError, propose
 from deepkoco.logs.inspect.joints.finding import JointFinding
 from deepkoco.logs.inspect.joints.log_joints import EFFORT, POSITION, SPEED, words_of
+from deepkoco.logs.inspect.joints.proposer import ONLY_EFFORT
 from deepkoco.logs.inspect.names import WANTED
 from deepkoco.logs.inspect.other_quantity import measures_another
 from deepkoco.logs.inspect.survey import Survey, survey_log
@@ -111,7 +113,7 @@ def _doubt(survey: Survey, fitting: Fitting, system: System) -> str | None:
             if choice.channel.kind == "command" and choice.channel.default is None:
                 return f"no column is the command {name} for sure"
             continue
-        by_name = choice.sureness == "sure" and SAME_NAME in choice.reasons
+        by_name = choice.sureness == "sure" and not {SAME_NAME, ONLY_EFFORT}.isdisjoint(choice.reasons)
         if not (by_name or (choice.held and choice.channel.kind == "command")):
             return f"{name} is {choice.sureness}, but not by its name: {column.label}"
         if measures_another(choice):

@@ -11,6 +11,7 @@ import numpy as np
 from deepkoco.logs.inspect.choice import Choice, Proposal, with_one_scale
 from deepkoco.logs.inspect.evidence import POSITIONS, SPEEDS
 from deepkoco.logs.inspect.joints.by_own_name import (
+    NAMED,
     called_as_actuators,
     command_by_name,
     give_commands,
@@ -44,6 +45,7 @@ from deepkoco.logs.units import parse_unit
 from deepkoco.systems import Channel, System
 
 GOAL_ZERO = 0.2  # difference of goal and position above which their zeros differ [rad or m]
+ONLY_EFFORT = "the only effort, in the place of the only command"  # reason that a column drives a joint
 LOOSE = 0.5  # probability that an effort without the name of a joint drives the next joint in the order
 LEAST = 3.0  # evidence of a proposal for each joint [nats], compared with other systems
 
@@ -352,9 +354,9 @@ def _with_loose_efforts(
         k = fitting[0]
         free.remove(k)
         channel = commands[k].channel
-        result[k] = Choice(
-            channel, column, unit or channel.unit, unit is not None, LOOSE, ("the next effort in the order",)
-        )
+        alone = len(commands) == len(kept) == 1 and quantity == parse_unit(channel.unit).quantity
+        score, reason = (NAMED, ONLY_EFFORT) if alone else (LOOSE, "the next effort in the order")
+        result[k] = Choice(channel, column, unit or channel.unit, unit is not None, score, (reason,))
     return result
 
 
