@@ -37,6 +37,7 @@ HIDDEN = {
     "gain_curve": ("rod_pendulum", "chirp", {"curvature": -0.015}),
     "torque_speed_curve": ("rod_pendulum", "steps", {"droop": 0.05}),
     "asymmetric_viscous(joint 1)": ("two_link_arm", "steps", {"difference": 0.4}),
+    "sensor_ripple(joint 1)": ("two_link_arm", "steps", {"sine": 0.01, "cosine": -0.006, "cycles": 1.0}),
     "sensor_shift(joint 2)": ("two_link_arm", "steps", {"angle": 0.03, "start": 11.2, "duration": 0.004}),
 }
 

@@ -281,6 +281,9 @@ class _Run:
             if c < self.joints:
                 x += unit._of("sensor_bias", j).get("angle", 0.0)
                 x += unit._of("sensor_drift", j).get("rate", 0.0) * t
+                if ripple := unit._of("sensor_ripple", j):
+                    phase = ripple["cycles"] * self.q[j]
+                    x += ripple["sine"] * math.sin(phase) + ripple["cosine"] * math.cos(phase)
                 if shift := unit._of("sensor_shift", j):
                     moved = (t - shift["start"]) / shift["duration"]
                     x += shift["angle"] * min(max(moved, 0.0), 1.0)

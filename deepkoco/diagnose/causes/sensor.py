@@ -57,6 +57,19 @@ SENSOR_DRIFT = Cause(
     "time",
     lambda motion: np.cos(motion.theta) * (motion.time - motion.time.mean()),
 )
+RIPPLES = (1.0, 2.0)
+SENSOR_RIPPLE = Cause(
+    "sensor_ripple",
+    "sensor",
+    ("sine", "cosine"),
+    "The readings err with the angle once or twice per turn: the encoder ring is off centre, its shaft is bent, or the "
+    "two signals of a resolver are not alike.",
+    "Turn the joint slowly by a full turn and compare with a second encoder, or with marks on a dividing head.",
+    "theta",
+    lambda motion: np.sin(motion.theta),
+    lambda hint: [{"cycles": cycles} for cycles in RIPPLES],
+    choices=len(RIPPLES),
+)
 SENSOR_SHIFT = Cause(
     "sensor_shift",
     "sensor",

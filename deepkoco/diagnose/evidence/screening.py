@@ -195,7 +195,9 @@ def _linear(cause: Cause, place: Mapping[str, float]) -> bool:
     """Return whether a start only chooses a shape (a frequency, a Stribeck speed) and leaves the size at null."""
     if cause.kind == "payload":
         return not any(value for name, value in place.items() if name.endswith(".mass"))
-    return cause.kind in ("cogging", "periodic", "spring") or (cause.kind == "stribeck" and len(place) == 1)
+    return cause.kind in ("cogging", "periodic", "spring", "sensor_ripple") or (
+        cause.kind == "stribeck" and len(place) == 1
+    )
 
 
 class Linearised:

@@ -15,6 +15,7 @@ SHAPES = {
     "cogging": ("cycles", "pitch", "cosine"),
     "periodic": ("frequency", "cosine"),
     "spring": ("centre",),
+    "sensor_ripple": ("cycles", "cosine"),
     "sensor_shift": ("start", "duration"),
     "bristle": ("distance",),
     "lugre": ("distance", "ratio", "speed"),

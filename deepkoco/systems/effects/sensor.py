@@ -85,6 +85,28 @@ def _apply_drift(measurement: Tensor, site: SensorSite, p: Parameters) -> Tensor
     return _changed(measurement, site.positions, lambda x: x + p["rate"] * time)
 
 
+def _ripple(system: System, joint: int = 0) -> tuple[Parameter, ...]:
+    if system.state_units[joint] != "rad":
+        return ()  # what slides has no turns
+    return (
+        Parameter("sine", 0.0, "rad", -0.5, 0.5, 0.01, "e_s, error of the reading with sin(n q)"),
+        Parameter("cosine", 0.0, "rad", -0.5, 0.5, 0.01, "e_c, error of the reading with cos(n q)"),
+        Parameter("cycles", 1.0, "1", 1.0, 64.0, 1.0, "n, times per turn"),
+    )
+
+
+def _apply_ripple(measurement: Tensor, site: SensorSite, p: Parameters) -> Tensor:
+    """Readings q + e_s sin(n q) + e_c cos(n q), and speeds as their derivative where a position shows the angle."""
+    if not site.positions:
+        return measurement
+    n = p["cycles"]
+    phase = n * measurement[..., site.positions[0]]
+    sine, cosine = torch.sin(phase), torch.cos(phase)
+    slope = 1.0 + n * (p["sine"] * cosine - p["cosine"] * sine)
+    shown = _changed(measurement, site.positions, lambda x: x + p["sine"] * sine + p["cosine"] * cosine)
+    return _changed(shown, site.speeds, lambda w: w * slope)
+
+
 def _shift(system: System, joint: int = 0) -> tuple[Parameter, ...]:
     unit = system.state_units[joint]
     return (
@@ -166,6 +188,9 @@ SENSOR_CROSSTALK = Effect(
 )
 SENSOR_DRIFT = Effect(
     "sensor_drift", "sensor", "sensor", _drift, "the position sensor's zero drifts", _apply_drift
+)
+SENSOR_RIPPLE = Effect(
+    "sensor_ripple", "sensor", "sensor", _ripple, "the readings err with the angle", _apply_ripple
 )
 SENSOR_SHIFT = Effect(
     "sensor_shift", "sensor", "sensor", _shift, "the position sensor's zero moves once", _apply_shift

@@ -262,6 +262,7 @@ LEFT_OUT = {
     "channel_scale": "correct the calibration of the sensor; it is no property of the robot",
     "sensor_crosstalk": "take the other joint's share out of the reading; it is no property of the robot",
     "sensor_drift": "correct the calibration of the sensor; it is no property of the robot",
+    "sensor_ripple": "correct the calibration of the sensor; it is no property of the robot",
     "sensor_shift": "correct the calibration of the sensor; it is no property of the robot",
     "channel_slip": "correct the unit of the channel; it is no property of the robot",
     "low_pass": "filter the measurements in your own loop; it is no property of the robot",
