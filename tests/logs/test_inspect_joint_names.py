@@ -109,6 +109,18 @@ def test_units_join_the_columns_of_one_joint_where_words_do_not(tmp_path, names,
     assert {joint.label: set(joint.columns) for joint in found} == joints
 
 
+def test_a_joint_that_is_called_joint_1_is_found_by_that_name(tmp_path):
+    names = ("joint_1 position [rad]", "joint_1 torque [Nm]", "joint_2 position [rad]", "joint_2 torque [Nm]")
+    t = 0.01 * np.arange(40)
+    pd.DataFrame({"t": t, **{n: np.sin(t + k) for k, n in enumerate(names)}}).to_csv(
+        tmp_path / "a.csv", index=False
+    )
+    columns = survey_log(open_log(tmp_path / "a.csv")).columns
+    assert [joint.label for joint in log_joints(columns, ["joint_1", "joint_2"])] == ["joint_1", "joint_2"]
+    # Another model counts its joints from 0, and calls none of them so.
+    assert [joint.label for joint in log_joints(columns, ["axis_0", "axis_1"])] == ["1", "2"]
+
+
 PAN_TILT = """<mujoco><compiler angle="radian"/><worldbody><body name="base" pos="0 0 0.1">
 <joint name="pan" axis="0 0 1" damping="0.02"/><geom size="0.05" mass="0.4"/><body name="camera" pos="0 0 0.08">
 <joint name="tilt" axis="0 1 0" damping="0.02"/><geom size="0.04" pos="0.03 0 0" mass="0.6"/></body></body></worldbody>

@@ -89,6 +89,7 @@ def log_joints(
         role, label = role_of(column)
         own = known.intersection(words_of(column.name))
         label = own.pop() if not label and len(own) == 1 else label  # a joint may be called phi
+        label = _as_in_model(label, column, known)
         role = role if _fits(column, role, fitting) else None
         if role == "position" or label in known:
             said.add(label)
@@ -146,6 +147,15 @@ def _join_goals(found: dict[str, LogJoint]) -> None:
             for role, column in joint.columns.items():
                 found[number].columns.setdefault(role, column)
             del found[label]
+
+
+def _as_in_model(label: str, column: ColumnSurvey, known: set[str]) -> str:
+    """Name of the model's joint that a column has with a word that says nothing: the 1 of `joint_1 position`."""
+    words = f"_{'_'.join(words_of(column.name))}_"
+    for name in known:
+        if label == "_".join(w for w in name.split("_") if w not in FILLER) and f"_{name}_" in words:
+            return name
+    return label
 
 
 def _join_by_units(found: dict[str, LogJoint], by_unit: set[str]) -> None:
