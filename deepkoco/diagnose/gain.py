@@ -80,7 +80,8 @@ def gain_on_held_out(base: Refitted, final: Fit, accepted: Sequence[Cause], seed
         seed: Seed of the bootstrap.
 
     Returns:
-        The gain; None where there are no held-out windows, or where one of their simulations diverges.
+        The gain; None where there are no held-out windows, where a push acts in all of them, or where one of their
+        simulations diverges.
     """
     if base.held is None:
         return None

@@ -125,7 +125,7 @@ def _learn(
     accepted: list[Cause] = []
     alike: dict[str, tuple[str, ...]] = {}
     causes = shown_causes(catalogue(start.system.base), measured_channels(recordings))
-    causes = [c for c in causes if c.effect != "event" and c.free and not frees_scale(start, c)]
+    causes = [c for c in causes if not c.searched and c.free and not frees_scale(start, c)]
     for _ in range(extension):
         fit, (counted, problem) = told.fit, told.counted()
         if not limit.allows("small effects that the healthy logs show"):
@@ -160,8 +160,8 @@ def _learn(
     # uncertainty that the healthy logs leave.
     catalogued = catalogue(start.system.base)
     members = dict.fromkeys(name for cause in accepted for name in alike[cause.name])
-    others = [catalogued[n] for n in members if kind_of(n) not in ("event", *BENDING)]
-    others = [c for c in others if not frees_scale(start, c)]
+    others = [catalogued[n] for n in members if kind_of(n) not in BENDING]
+    others = [c for c in others if not c.searched and not frees_scale(start, c)]
     if {c.name for c in others}.difference(c.name for c in accepted):
         return extended(replace(start, healthy=told, losing=losing), others)
     try:

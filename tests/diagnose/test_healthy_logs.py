@@ -8,6 +8,7 @@ import pytest
 from deepkoco.diagnose import BaselineError, diagnose
 from deepkoco.diagnose.baseline import Healthy, baseline_from, refit_sharply
 from deepkoco.diagnose.causes import catalogue
+from deepkoco.diagnose.causes.event import EVENT
 from deepkoco.diagnose.evidence import forward
 from deepkoco.diagnose.evidence.forward import Selection
 from deepkoco.diagnose.evidence.priors import prior_with
@@ -179,5 +180,5 @@ def test_a_push_is_usual_where_healthy_logs_show_one_nearly_as_strong(usual, sho
     start = replace(before, healthy=Healthy((), healthy, before, (), fit))
     _, windows, reference = pushed(0.3)
     missing = missing_torque(FitProblem(start.system, windows), reference)
-    assert healthy_shows_pushes(start, windows, missing, 0) == shown
-    assert not healthy_shows_pushes(before, windows, missing, 0)
+    assert healthy_shows_pushes(start, windows, missing, EVENT) == shown
+    assert not healthy_shows_pushes(before, windows, missing, EVENT)

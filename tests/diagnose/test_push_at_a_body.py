@@ -83,7 +83,7 @@ def test_a_crane_that_nobody_pushes_shows_no_push(tmp_path):
 
 @pytest.mark.study
 @pytest.mark.timeout(300)
-def test_a_rope_at_the_side_of_a_load_is_told_with_its_distance_from_the_line_of_the_link(tmp_path):
+def test_a_rope_at_the_side_of_a_load_is_told_by_its_line_of_action(tmp_path):
     (tmp_path / "crane.xml").write_text(CRANE.format(damping=15.0, mass=4.0))
     robot = deepkoco.load_system(tmp_path / "crane.xml")
     log = moved((5.0, 0.0, -8.0), 0.1, 9.3, 2.4, aside=0.12)
@@ -92,5 +92,8 @@ def test_a_rope_at_the_side_of_a_load_is_told_with_its_distance_from_the_line_of
     sizes = found.causes[0].parameters
     assert sizes["event.x"].value == pytest.approx(5.0, rel=0.05)
     assert sizes["event.start"].value == pytest.approx(9.3, abs=0.05)
-    # A force shows its line of action; a point on it may be any that the link has.
+    # A force shows its line of action, and all points on it are one: the swing of the load hardly turns it.
     assert found.chi2_after < 1.1
+    x, z, low, aside = (sizes[f"event.{n}"].value for n in ("x", "z", "along", "across"))
+    # Across the link is -x of the load's frame: axis times the direction of the link.
+    assert (0.8 + low) * x - aside * z == pytest.approx(0.9 * 5.0 - 0.12 * 8.0, rel=0.1)

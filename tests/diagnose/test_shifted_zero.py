@@ -71,8 +71,14 @@ def test_the_best_start_is_the_best_of_all_least_squares_fits(problem, seed):
 def test_two_logs_have_no_common_time_at_which_a_zero_moves(log):
     problem = FitProblem(EXTENDED, cut_windows([log, log], SYSTEM, 1.0))
     count = len(problem.windows)
-    nothing = torch.zeros(count, problem.windows.value[0].numel(), 1, dtype=torch.float64)
-    assert shifts_of_zero(problem, 0, nothing, nothing) == ()
+    left = torch.from_numpy(
+        np.random.default_rng(0).standard_normal((count, problem.windows.value[0].numel(), 1))
+    )
+    none = torch.zeros(*left.shape[:2], 0, dtype=torch.float64)
+    assert shifts_of_zero(problem, 0, left, none) == ()
+    one = FitProblem(EXTENDED, problem.windows.take(problem.windows.log == 0))
+    own = int((problem.windows.log == 0).sum())
+    assert shifts_of_zero(one, 0, left[:own], none[:own])
 
 
 def test_a_zero_moves_no_faster_than_samples_show_and_within_the_log(problem, log):

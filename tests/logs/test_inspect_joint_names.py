@@ -94,7 +94,10 @@ def test_columns_are_grouped_by_joint(tmp_path, names, joints):
         ),
         # Words of other languages say nothing, units do.
         (("Z_pos [mm]", "Z_vitesse [mm/s]", "Z_effort_moteur [N]"), {"z": {"position", "speed"}}),
-        (("braccio_angolo [deg]", "braccio_coppia [Nm]"), {"braccio": {"position", "effort"}}),
+        (
+            ("spalla_angolo [deg]", "spalla_coppia [Nm]", "gomito_angolo [deg]", "gomito_coppia [Nm]"),
+            {"spalla": {"position", "effort"}, "gomito": {"position", "effort"}},
+        ),
         # Two columns of one role are of two joints.
         (("arm_left [deg]", "arm_right [deg]"), {"arm_left": {"position"}, "arm_right": {"position"}}),
         (("hip [rad]", "hip_x [rad]"), {"hip": {"position"}, "hip_x": {"position"}}),
@@ -106,17 +109,19 @@ def test_units_join_the_columns_of_one_joint_where_words_do_not(tmp_path, names,
         tmp_path / "a.csv", index=False
     )
     found = log_joints(survey_log(open_log(tmp_path / "a.csv")).columns, units=("rad", "m"))
-    assert {joint.label: set(joint.columns) for joint in found} == joints
+    assert [(joint.label, set(joint.columns)) for joint in found] == [*joints.items()]
 
 
 def test_a_joint_that_is_called_joint_1_is_found_by_that_name(tmp_path):
-    names = ("joint_1 position [rad]", "joint_1 torque [Nm]", "joint_2 position [rad]", "joint_2 torque [Nm]")
+    names = ("joint_1 position [rad]", "torque_1 [Nm]", "joint_2 position [rad]", "torque_2 [Nm]")
     t = 0.01 * np.arange(40)
     pd.DataFrame({"t": t, **{n: np.sin(t + k) for k, n in enumerate(names)}}).to_csv(
         tmp_path / "a.csv", index=False
     )
     columns = survey_log(open_log(tmp_path / "a.csv")).columns
-    assert [joint.label for joint in log_joints(columns, ["joint_1", "joint_2"])] == ["joint_1", "joint_2"]
+    found = log_joints(columns, ["joint_1", "joint_2"])
+    assert [joint.label for joint in found] == ["joint_1", "joint_2"]
+    assert all(set(joint.columns) == {"position", "effort"} for joint in found)
     # Another model counts its joints from 0, and calls none of them so.
     assert [joint.label for joint in log_joints(columns, ["axis_0", "axis_1"])] == ["1", "2"]
 

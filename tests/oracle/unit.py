@@ -287,6 +287,12 @@ class _Run:
                 if shift := unit._of("sensor_shift", j):
                     moved = (t - shift["start"]) / shift["duration"]
                     x += shift["angle"] * min(max(moved, 0.0), 1.0)
+            elif ripple := unit._of("sensor_ripple", j):
+                # The speed comes from the same encoder.
+                phase = ripple["cycles"] * self.q[j]
+                x *= 1.0 + ripple["cycles"] * (
+                    ripple["sine"] * math.cos(phase) - ripple["cosine"] * math.sin(phase)
+                )
             noise = channel.noise_sd * unit._of("noise_level", channel.name).get("factor", 1.0)
             x += noise * rng.standard_normal() if self.noisy else 0.0
             x *= unit._of("channel_slip", channel.name).get("factor", 1.0)

@@ -28,7 +28,8 @@ def equivalent(
     no table of equivalent causes.
     """
     winner = ranking.best
-    close = [c for c in ranking.candidates[1:] if winner.delta_bic - c.delta_bic < NEAR]
+    fitted = [c for c in ranking.candidates[1:] if not c.only_promised(ranking.reference)]
+    close = [c for c in fitted if winner.delta_bic - c.delta_bic < NEAR]
     wide, places = width(problem, start, ranking), SLOTS * len(problem.windows)
     own = penalty(winner.cause, ranking.samples, places)
     within: dict[str, bool] = {}

@@ -100,8 +100,8 @@ def carried(
 ) -> tuple[list[Cause], Fit]:
     """Remove lasting causes that clearly raise the held-out error.
 
-    A false cause improves only the windows that it is fitted to. A push acts in none of the held-out windows and
-    stays.
+    A false cause improves only the windows that it is fitted to. A push stays: few of the
+    held-out windows show it, if any.
 
     Args:
         problem: Training windows.

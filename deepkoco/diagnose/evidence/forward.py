@@ -210,7 +210,7 @@ class Selection(SelectionTask):
         if cause.effect != "event" or self.start.healthy is None:
             return False
         missing = missing_torque(problem, ranking.reference)
-        usual = healthy_shows_pushes(self.start, problem.windows, missing, cause.joint or 0)
+        usual = healthy_shows_pushes(self.start, problem.windows, missing, cause)
         (self.usual_pushes.add if usual else self.usual_pushes.discard)(cause.name)
         return usual
 

@@ -11,7 +11,6 @@ import torch
 from deepkoco.diagnose.residuals.residuals import MissingTorque
 from deepkoco.fit.simulate.push import AXES, LONGEST
 from deepkoco.systems import Parameter, System
-from deepkoco.systems.motion import PushPlace
 
 WIDTHS = (1, 2, 3, 4, 6)  # durations of a push at its starts, in slots
 
@@ -45,17 +44,30 @@ def pushes_of_bodies(system: System, missing: Sequence[MissingTorque]) -> tuple[
     """
     if not missing or missing[0].together is None:
         return ()
-    return tuple(
-        push
-        for index, place in enumerate(system.push_places)
-        for push in _at(system, index, place, missing[0])
-    )
+    return tuple(push for index in range(len(system.push_places)) for push in _at(system, index, missing[0]))
 
 
-def _at(system: System, index: int, place: PushPlace, missing: MissingTorque) -> list[dict[str, float]]:
+def falls_at(system: System, index: int, missing: MissingTorque) -> dict[tuple[int, int], float]:
+    """Return the largest fall of chi2 by a push at one body, of each duration: slots of a window, or windows.
+
+    Args:
+        system: The system.
+        index: Which of its places of a push.
+        missing: Missing load of any joint, with what they are together.
+    """
+    return {width: fall for width, (fall, _) in _best_at(system, index, missing).items()}
+
+
+def _at(system: System, index: int, missing: MissingTorque) -> list[dict[str, float]]:
+    return [push for _, push in _best_at(system, index, missing).values()]
+
+
+def _best_at(
+    system: System, index: int, missing: MissingTorque
+) -> dict[tuple[int, int], tuple[float, dict[str, float]]]:
     together = missing.together
     assert together is not None
-    declared = {p.name: p for p in place.parameters}
+    declared = {p.name: p for p in system.push_places[index].parameters}
     axes = [axis for axis in AXES if axis in declared]
     prior = np.diag([declared[axis].prior_sd ** -2.0 for axis in axes])
     positions = [torch.from_numpy(q) for q in together.positions]
@@ -74,7 +86,7 @@ def _at(system: System, index: int, place: PushPlace, missing: MissingTorque) ->
                     run.fall,
                     {"torque": 0.0, **dict.fromkeys(AXES, 0.0), **sizes, **own, **when},
                 )
-    return [push for _, push in best.values()]
+    return best
 
 
 def _best(

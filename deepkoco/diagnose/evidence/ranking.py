@@ -28,6 +28,20 @@ class Candidate:
     likelihood_ratio: float
     delta_bic: float
 
+    def only_promised(self, reference: Fit) -> bool:
+        """Return whether the cause was not fitted, so that its score is what slopes promise."""
+        return bool(self.cause.free) and self.fit is reference and self.likelihood_ratio > 0.0
+
+
+def fitted_first(candidates: Iterable[Candidate], reference: Fit) -> tuple[Candidate, ...]:
+    """Return candidates from best to worst; those that were not fitted are no better than the best that was."""
+    found = list(candidates)
+    best = max((c.delta_bic for c in found if not c.only_promised(reference)), default=0.0)
+    capped = [
+        replace(c, delta_bic=min(c.delta_bic, best)) if c.only_promised(reference) else c for c in found
+    ]
+    return tuple(sorted(capped, key=lambda c: (-c.delta_bic, c.only_promised(reference))))
+
 
 @dataclass(frozen=True)
 class Ranking:
@@ -122,9 +136,4 @@ def ranked(
             fit, ratio = reference, 0.0
         score = ratio / deflation - penalty(cause, samples, places)
         candidates.append(Candidate(cause, fit, ratio, float(score)))
-    best = max((c.delta_bic for c in candidates if c.cause.name in fits), default=0.0)
-    candidates = [
-        c if c.cause.name in fits else replace(c, delta_bic=min(c.delta_bic, best)) for c in candidates
-    ]
-    candidates.sort(key=lambda c: (-c.delta_bic, c.cause.name not in fits))
-    return Ranking(reference, tuple(candidates), spread, deflation, samples)
+    return Ranking(reference, fitted_first(candidates, reference), spread, deflation, samples)

@@ -16,7 +16,7 @@ from deepkoco.diagnose.evidence.elimination import beyond_chance, held_out_chi2
 from deepkoco.diagnose.evidence.footholds import SCOUTING, trial_of
 from deepkoco.diagnose.evidence.minor import LEAST_SHARE
 from deepkoco.diagnose.evidence.priors import declared, prior_with
-from deepkoco.diagnose.evidence.ranking import Candidate, Ranking, penalty, with_better_fit
+from deepkoco.diagnose.evidence.ranking import Candidate, Ranking, fitted_first, penalty, with_better_fit
 from deepkoco.diagnose.evidence.selection import CLOSE, PATIENCE
 from deepkoco.diagnose.residuals.residuals import SLOTS, dispersion
 from deepkoco.fit.data.windows import Windows
@@ -47,7 +47,7 @@ def front_settled(
     for k, other in enumerate(others):
         # A candidate with a better score than the winner was put behind it on purpose (`without_events_first`).
         behind = ranking.best.delta_bic - other.delta_bic
-        if behind < 0.0 or not other.cause.free or other.fit is ranking.reference:
+        if behind < 0.0 or not other.cause.free or other.only_promised(ranking.reference):
             continue
         if _same_family(winner.cause, other.cause) and _simpler(winner, other, 0.0):
             other = others[k] = _from_winner(problem, start, accepted, ranking, other, winner)
@@ -134,7 +134,8 @@ def classed(
     two, the mechanism leads the class. The farther the parameter is from its given value, the more evidence it needs.
     Among parameters, the one leads whose change its declared uncertainty makes most likely.
     """
-    simple = [c for c in ranking.candidates[1:] if _simpler(ranking.best, c, 1.0 - LEAST_SHARE)]
+    fitted = [c for c in ranking.candidates[1:] if not c.only_promised(ranking.reference)]
+    simple = [c for c in fitted if _simpler(ranking.best, c, 1.0 - LEAST_SHARE)]
     left = ranking.best.fit.chi2 / problem.windows.samples > start.most_noise(problem.windows)
     if not left:
         # Noise favours the form with a shape by as much as two causes need to be distinguished.
@@ -284,8 +285,7 @@ def with_fit(problem: FitProblem, start: Baseline, ranking: Ranking, cause: Caus
         charge = penalty(candidate.cause, ranking.samples, SLOTS * len(problem.windows))
         return replace(candidate, delta_bic=candidate.likelihood_ratio / ranking.deflation - charge)
 
-    candidates = sorted(map(scored, [*others, mine]), key=lambda c: -c.delta_bic)
-    return replace(ranking, candidates=tuple(candidates))
+    return replace(ranking, candidates=fitted_first(map(scored, [*others, mine]), ranking.reference))
 
 
 def _pulled_back(problem: FitProblem, start: Baseline, candidate: Candidate) -> bool:

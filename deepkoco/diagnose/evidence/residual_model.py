@@ -19,13 +19,13 @@ import numpy as np
 
 from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause
+from deepkoco.diagnose.evidence.event_windows import as_in
 from deepkoco.diagnose.evidence.learned_promise import may_win
 from deepkoco.diagnose.evidence.term_choice import MOST_TERMS, choose_terms, fit_terms, terms_of
 from deepkoco.diagnose.gain import Gain, held_out_gain
 from deepkoco.diagnose.residuals.residuals import MissingTorque
 from deepkoco.fit.data.windows import STANDSTILL, Windows
 from deepkoco.fit.fit import Fit, FitProblem
-from deepkoco.fit.simulate.push import QUIET
 from deepkoco.fit.solve.dispersion import dispersion
 from deepkoco.systems.effects import EFFECTS, place
 from deepkoco.systems.effects.learned import SCALES, is_spring
@@ -137,8 +137,8 @@ def learn_residual(
         return ResidualModel(False, text, terms, fit, None, validation, before, after)
     models = {
         "baseline": start.values,
-        "refit": {**reference.values, **QUIET},
-        "extended": {**fit.values, **QUIET},
+        "refit": as_in(held, reference.values, train),
+        "extended": as_in(held, fit.values, train),
     }
     windows = {
         "baseline": replace(held, varies={}),

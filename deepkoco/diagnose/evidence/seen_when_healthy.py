@@ -15,6 +15,7 @@ from deepkoco.diagnose.baseline import Baseline, Healthy, noisier, tempered
 from deepkoco.diagnose.causes import Cause, is_changed, kind_of
 from deepkoco.diagnose.evidence.flexible import FLEXIBLE_CAUSES
 from deepkoco.diagnose.evidence.priors import declared, freed, prior_with
+from deepkoco.diagnose.evidence.pushed_bodies import falls_at
 from deepkoco.diagnose.evidence.selected import Selected
 from deepkoco.diagnose.evidence.selection import CLOSE, PATIENCE
 from deepkoco.diagnose.evidence.start_values import WIDTHS
@@ -100,8 +101,9 @@ def hypotheses_of(found: Selected) -> list[Hypothesis]:
     for ranking, members in found.steps:
         for candidate in ranking.candidates:
             cause, fit = candidate.cause, candidate.fit
-            # Pushes, tones and detents of one log say nothing about another log.
-            if cause.name not in members or not cause.free or kind_of(cause.name) in FLEXIBLE_CAUSES:
+            # What happens once in one log, tones and detents say nothing about another log.
+            other = cause.searched or kind_of(cause.name) in FLEXIBLE_CAUSES
+            if cause.name not in members or not cause.free or other:
                 continue
             if fit is not ranking.reference:
                 freed = set(fit.free)
@@ -111,9 +113,9 @@ def hypotheses_of(found: Selected) -> list[Hypothesis]:
 
 
 def healthy_shows_pushes(
-    start: Baseline, windows: Windows, missing: Sequence[MissingTorque], joint: int
+    start: Baseline, windows: Windows, missing: Sequence[MissingTorque], cause: Cause
 ) -> bool:
-    """Return whether the healthy logs show pushes on a joint nearly as strong as those of other logs.
+    """Return whether the healthy logs show pushes on a joint, or at a body, nearly as strong as those of other logs.
 
     A model error can come in bursts. Each burst looks like a push, in healthy logs too. The falls of chi2 are compared
     that pushes of several durations would bring; those of the healthy logs count beyond what chance brings.
@@ -122,7 +124,7 @@ def healthy_shows_pushes(
         start: The baseline; without healthy logs the result is False.
         windows: Windows of the other logs, whose noise counts.
         missing: Missing load of each joint there.
-        joint: The joint of the push.
+        cause: The push.
     """
     healthy = start.healthy
     if healthy is None:
@@ -130,8 +132,17 @@ def healthy_shows_pushes(
     usual = replace(healthy.windows, noise=windows.noise)
     share = healthy.windows.sample_sd / usual.sample_sd
     fit = replace(healthy.fit, residual=healthy.fit.residual * share)
-    known = missing_torque(FitProblem(start.system, usual), fit)[joint].score
+    there = missing_torque(FitProblem(start.system, usual), fit)
+    joint = cause.joint or 0
+    known = there[joint].score
     chance = 2.0 * math.log(max(known.size, 1))
+    if cause.kind != "event":
+        here, usually = (falls_at(start.system, cause.index, own[0]) for own in (missing, there))
+        components = len(start.system.push_places[cause.index].parameters)
+        return all(
+            here[width] <= PUSH_MARGIN * max(usually[width] - chance - components, 0.0)
+            for width in here.keys() & usually.keys()
+        )
     return all(
         _strongest(missing[joint].score, width)
         <= PUSH_MARGIN * max(_strongest(known, width) - width * chance, 0.0)

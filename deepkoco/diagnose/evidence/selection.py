@@ -207,12 +207,17 @@ def rank(
             trials += footholds
             fits = _lower_ones(fits, fit_best(problem, footholds, reference, worth=worth))
     asked = {t.name for t in trials}
+    open_ones = [
+        p for p in promises if start.tempering == 1.0 or kind_of(p.cause.name) not in FLEXIBLE_CAUSES
+    ]
     for _ in range(ROUNDS):
         found = ranked(problem, start, reference, tried, _sound(fits), largest_promises(promises))
-        rest = outstanding(found, promises, asked, SLOTS * len(problem.windows), wanted)
+        rest = outstanding(found, open_ones, asked, SLOTS * len(problem.windows), wanted)
         if many:
             rest = best_of_each_place(without_hopeless_slow(rest, slow, charge), charge)
-        if not rest:
+        if not rest or (
+            limit is not None and not limit.allows(f"fits of further causes{in_company_of(names)}")
+        ):
             break
         asked |= {p.cause.name for p in rest}
         own = [

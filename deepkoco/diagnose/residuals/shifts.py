@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from deepkoco.fit.fit import FitProblem
@@ -64,7 +65,10 @@ def steps_of_zero(problem: FitProblem, joint: int, residual: Tensor, basis: Tens
 
 
 def _channels(problem: FitProblem, joint: int) -> list[int]:
-    return [c for c, s in enumerate(problem.windows.shows) if s == joint]
+    """Channels of a joint's position that the log has, with the stamps of the first of them."""
+    windows = problem.windows
+    own = [c for c, s in enumerate(windows.shows) if s == joint and bool(windows.valid[:, c].any())]
+    return [c for c in own if torch.equal(windows.t[:, c], windows.t[:, own[0]])]
 
 
 def _told(

@@ -172,13 +172,13 @@ def _advise(
 def _doses(ranking: Ranking, start: Baseline, members: Sequence[str]) -> dict[str, Dose]:
     """Return the causes of a class at their fitted sizes.
 
-    Causes without free parameters, pushes, and causes that stay at their null value are left out: no command
+    Causes without free parameters, what happens once, and causes that stay at their null value are left out: no command
     sequence can be simulated for them.
     """
     fits = {c.cause.name: c for c in ranking.candidates if c.fit is not ranking.reference}
     result = {}
     for name in members:
-        if name in fits and fits[name].cause.free and fits[name].cause.effect != "event":
+        if name in fits and fits[name].cause.free and not fits[name].cause.searched:
             values = {p: fits[name].fit.values[p] for p in fits[name].cause.free}
             if any(values[p] != start.values[p] for p in values):
                 result[name] = Dose(fits[name].cause, values)

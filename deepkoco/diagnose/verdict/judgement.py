@@ -11,6 +11,7 @@ from deepkoco.diagnose.causes import Cause, is_changed
 from deepkoco.diagnose.diagnosis import Finding, Verdict
 from deepkoco.diagnose.evidence.absorbed import absorbed
 from deepkoco.diagnose.evidence.classes import width
+from deepkoco.diagnose.evidence.event_windows import touched
 from deepkoco.diagnose.evidence.how_probable import how_probable
 from deepkoco.diagnose.evidence.proportion import in_proportion
 from deepkoco.diagnose.evidence.residual_model import ResidualModel, learn_residual, load_may_win
@@ -116,7 +117,7 @@ def judge(request: DiagnosisRequest, explanation: Explanation) -> Judgement:
     without = with_parameters_kept(base, [*changed, *(n for n in taken_up if n not in changed)])
     missing = missing_torque(base.problem, without.reference, left.deflation)
     gain = gain_on_held_out(without, final, found.accepted, seed)
-    unfitted = _with_gain(explanation.unfitted, base, gain)
+    unfitted = _with_gain(explanation.unfitted, base, gain, final, found.accepted)
     white = left.lag_one <= coloured_from(base.train)
     doubts = _doubts(explanation, request.system, missing, left)
     verdict, why = verdict_of(found, base.start, base.train, without.reference, gain, white, doubts)
@@ -288,14 +289,18 @@ def _with_final_gain(judgement: Judgement, base: Refitted, accepted: Sequence[Ca
         gain = gain_of_later_part(base, judgement.midway, seed)
     elif gain is None:
         gain = gain_on_held_out(base, judgement.final, accepted, seed)
-        unfitted = _with_gain(unfitted, base, gain)
+        unfitted = _with_gain(unfitted, base, gain, judgement.final, accepted)
     if judgement.load is None and judgement.final is base.reference and gain is not None:
         gain = kept_as_given(gain, base.start.system, seed) or gain
     return replace(judgement, gain=gain, unfitted=unfitted)
 
 
-def _with_gain(unfitted: tuple[str, ...], base: Refitted, gain: Gain | None) -> tuple[str, ...]:
+def _with_gain(
+    unfitted: tuple[str, ...], base: Refitted, gain: Gain | None, final: Fit, accepted: Sequence[Cause]
+) -> tuple[str, ...]:
     """Add the held-out windows to what could not be fitted, if their simulations diverge."""
     if gain is not None or base.held is None or NO_GAIN in unfitted:
         return unfitted
+    if any(c.effect == "event" for c in accepted) and touched(base.held, final.values).all():
+        return unfitted  # a push acts in all of them
     return (*unfitted, NO_GAIN)

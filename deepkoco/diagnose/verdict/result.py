@@ -302,7 +302,8 @@ def _model(request: DiagnosisRequest, explanation: Explanation, judgement: Judge
     start, final = base.start, judgement.final
     had = tuple(e.name for e in given.effects) if isinstance(given, ExtendedSystem) else ()
     named = () if final is base.reference else (*explanation.found.accepted, *_small(explanation))
-    found = tuple(c.effect for c in named if c.effect != "event" and not is_changed(c))
+    # What happened once in a log is no part of the machine.
+    found = tuple(c.effect for c in named if not c.searched and not is_changed(c))
     if load is not None:
         final, found = base.problem.recentred(load.fit), (*found, *load.effects)
     effects = tuple(dict.fromkeys((*had, *start.effects, *found)))

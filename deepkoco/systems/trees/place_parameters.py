@@ -53,7 +53,9 @@ def sideways(tree: Tree, site: Site) -> tuple[tuple[str, np.ndarray], ...]:
 
     ``across`` is square to the joint's axis too; ``beside`` is square to ``across``.
     """
-    direction, _ = link_line(tree, site)
+    direction, length = link_line(tree, site)
+    if length == 0.0:
+        return ()
     square = np.cross((0.0, 0.0, 1.0), direction)
     if np.linalg.norm(square) < SQUARE:
         square = np.cross((0.0, 1.0, 0.0), direction)

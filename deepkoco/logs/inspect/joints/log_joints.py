@@ -83,13 +83,14 @@ def log_joints(
     by_unit: set[str] = set()
     known = {"_".join(words_of(name)) for name in joints}
     fitting = {parse_unit(unit).quantity for unit in units}
+    in_model = _as_in_model(columns, known)
     for column in columns:
         if not column.usable:
             continue
         role, label = role_of(column)
         own = known.intersection(words_of(column.name))
         label = own.pop() if not label and len(own) == 1 else label  # a joint may be called phi
-        label = _as_in_model(label, column, known)
+        label = in_model.get(label, label)
         role = role if _fits(column, role, fitting) else None
         if role == "position" or label in known:
             said.add(label)
@@ -149,13 +150,15 @@ def _join_goals(found: dict[str, LogJoint]) -> None:
             del found[label]
 
 
-def _as_in_model(label: str, column: ColumnSurvey, known: set[str]) -> str:
-    """Name of the model's joint that a column has with a word that says nothing: the 1 of `joint_1 position`."""
-    words = f"_{'_'.join(words_of(column.name))}_"
+def _as_in_model(columns: Sequence[ColumnSurvey], known: set[str]) -> dict[str, str]:
+    """Label -> name of the model's joint, which has a word more that says nothing: the 1 of `joint_1 position`."""
+    found = {}
+    said = [f"_{'_'.join(words_of(column.name))}_" for column in columns if column.usable]
     for name in known:
-        if label == "_".join(w for w in name.split("_") if w not in FILLER) and f"_{name}_" in words:
-            return name
-    return label
+        label = "_".join(word for word in name.split("_") if word not in FILLER)
+        if label != name and any(f"_{name}_" in words for words in said):
+            found[label] = name
+    return found
 
 
 def _join_by_units(found: dict[str, LogJoint], by_unit: set[str]) -> None:
@@ -164,7 +167,7 @@ def _join_by_units(found: dict[str, LogJoint], by_unit: set[str]) -> None:
     One word is more than the name of the joint has. Where two such columns have one role, the word tells two joints.
     """
     shorter: dict[str, list[str]] = {}
-    for label in sorted(by_unit & found.keys()):
+    for label in [label for label in found if label in by_unit]:
         words = label.split("_")
         for k in range(len(words)):
             if stem := "_".join(words[:k] + words[k + 1 :]):
@@ -181,9 +184,15 @@ def _join_by_units(found: dict[str, LogJoint], by_unit: set[str]) -> None:
             or "position" not in roles
         ):
             continue
+        # The joint keeps the place of the first of its columns in the log.
+        taken = {other.label for other in own} | {stem}
         for other in own:
-            joint.columns |= found.pop(other.label).columns
-        found[stem] = joint
+            joint.columns |= other.columns
+        kept = {
+            stem if label in taken else label: joint if label in taken else j for label, j in found.items()
+        }
+        found.clear()
+        found.update(kept)
 
 
 def _fits(column: ColumnSurvey, role: str | None, fitting: set[str]) -> bool:
