@@ -1,11 +1,19 @@
 """A force that pushes a body for a while: found as one, with its size, its place and its time."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
 
 import deepkoco
 from deepkoco.diagnose import diagnose
+from deepkoco.diagnose.baseline import Healthy, baseline_from, refit_sharply
+from deepkoco.diagnose.causes import catalogue
+from deepkoco.diagnose.evidence.seen_when_healthy import healthy_shows_pushes
+from deepkoco.diagnose.residuals.residuals import missing_torque
+from deepkoco.fit.data.windows import cut_windows, moving, window_length
+from deepkoco.fit.fit import FitProblem
 from deepkoco.logs.recording import Recording, Series
 
 CRANE = """<mujoco model="crane"><option integrator="implicitfast" timestep="0.001"/><worldbody>
@@ -97,3 +105,24 @@ def test_a_rope_at_the_side_of_a_load_is_told_by_its_line_of_action(tmp_path):
     x, z, low, aside = (sizes[f"event.{n}"].value for n in ("x", "z", "along", "across"))
     # Across the link is -x of the load's frame: axis times the direction of the link.
     assert (0.8 + low) * x - aside * z == pytest.approx(0.9 * 5.0 - 0.12 * 8.0, rel=0.1)
+
+
+def refitted(robot, force):
+    """Baseline, windows and refit of a log of the crane whose load is pushed with this force."""
+    windows = cut_windows([moved(force, 0.0, 13.2, 1.0)], robot, window_length(robot))
+    start = baseline_from(robot, windows)
+    windows, reference = refit_sharply(start, windows.take(moving(windows)))
+    return start, windows, reference
+
+
+@pytest.mark.study
+@pytest.mark.parametrize(("usual", "shown"), [(6.5, True), (0.0, False), (0.5, False)])
+def test_a_push_at_a_body_is_usual_where_healthy_logs_show_one_nearly_as_strong(tmp_path, usual, shown):
+    (tmp_path / "crane.xml").write_text(CRANE.format(damping=15.0, mass=4.0))
+    robot = deepkoco.load_system(tmp_path / "crane.xml")
+    before, healthy, fit = refitted(robot, (usual, 0.0, 0.0))
+    start = replace(before, healthy=Healthy((), healthy, before, (), fit))
+    _, windows, reference = refitted(robot, (6.5, 0.0, 0.0))
+    missing = missing_torque(FitProblem(start.system, windows), reference)
+    push = catalogue(robot)["body_push(load)"]
+    assert healthy_shows_pushes(start, windows, missing, push) == shown

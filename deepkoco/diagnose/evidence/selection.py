@@ -129,18 +129,15 @@ def rank(
         if c.free and known.intersection(c.free) and c.name not in found and not is_changed(c)
     ]
     promising += underrated
-    trials = [
-        trial_of(
-            problem,
-            start,
-            accepted,
-            p.cause,
-            {**reference.values, **p.values},
-            reference.state,
-            reference,
-        )
-        for p in promising
-    ]
+
+    def from_reference(points: Sequence[StartPoint]) -> list[Trial]:
+        values = [{**reference.values, **p.values} for p in points]
+        return [
+            trial_of(problem, start, accepted, p.cause, own, reference.state, reference)
+            for p, own in zip(points, values, strict=True)
+        ]
+
+    trials = from_reference(promising)
     # With many parameters, the candidates of a reference share its slopes.
     sharing = bool(trials) and problem.keeps_slopes(trials)
     known = tangent.kept() if sharing else None
@@ -220,18 +217,7 @@ def rank(
         ):
             break
         asked |= {p.cause.name for p in rest}
-        own = [
-            trial_of(
-                problem,
-                start,
-                accepted,
-                p.cause,
-                {**reference.values, **p.values},
-                reference.state,
-                reference,
-            )
-            for p in rest
-        ]
+        own = from_reference(rest)
         trials += own
         fits |= fit_best(problem, own, reference, tangent.kept() if sharing else None, worth)
     promised = largest_promises(promises)
