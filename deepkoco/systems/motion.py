@@ -71,11 +71,13 @@ class PushPlace(NamedTuple):
         joint: The joint that moves it.
         parameters: Components ``x``, ``y``, ``z`` of the force in the frame of the world that load a joint [N], and
             those of `POINT` that a motion shows: distances of the point from the body's centre of mass [m].
+        directions: These names of `POINT`, each with its unit vector in the joint's frame.
     """
 
     body: str
     joint: int
     parameters: tuple[Parameter, ...]
+    directions: tuple[tuple[str, tuple[float, float, float]], ...] = ()
 
 
 class PayloadWay(NamedTuple):

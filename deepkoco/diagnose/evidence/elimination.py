@@ -100,8 +100,7 @@ def carried(
 ) -> tuple[list[Cause], Fit]:
     """Remove lasting causes that clearly raise the held-out error.
 
-    A false cause improves only the windows that it is fitted to. A push stays: few of the
-    held-out windows show it, if any.
+    A false cause improves only the windows that it is fitted to. A push stays: few of the held-out windows show it.
 
     Args:
         problem: Training windows.

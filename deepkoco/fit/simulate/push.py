@@ -36,7 +36,6 @@ class Push:
         "event.z",
         *(f"event.{n}" for n in POINT),
     )
-    WHEN: ClassVar[tuple[str, ...]] = NAMES[1:3]
     FORCE: ClassVar[tuple[str, ...]] = NAMES[5:8]
     AT: ClassVar[tuple[str, ...]] = NAMES[8:]
     SIZES: ClassVar[tuple[str, ...]] = (NAMES[0], *FORCE)

@@ -14,7 +14,7 @@ from deepkoco.systems.parameter import Parameter
 from deepkoco.systems.trees.outside_forces import AXES, joint_loads
 from deepkoco.systems.trees.place_parameters import force_levers, sideways, thickness
 from deepkoco.systems.trees.places import body_places, link_line
-from deepkoco.systems.trees.tree import OutsideForce, Tree
+from deepkoco.systems.trees.tree import OutsideForce, Tree, vector
 
 STRONGEST = 10.0  # bound of a push, over the force that equals a joint's typical load
 SIDE = 3.0  # bound of a point beside a link, in the link's thickness
@@ -40,7 +40,7 @@ def push_places(
         mass = float(body.mass)
         if (levers.max(1) > 0.0).sum() < 2 or mass <= heaviest.get(joint, -1.0):
             continue
-        own = []
+        own, directions = [], []
         for axis, reach in zip(AXES, (levers / np.array(load_scales)[:, None]).max(0), strict=True):
             if reach > 0.0:
                 unit = 1.0 / float(reach)
@@ -53,10 +53,12 @@ def push_places(
             # A rope holds at the side of a link as often as at its middle.
             direction, _ = link_line(tree, site)
             thick = max(thickness(body, direction), THINNEST * way.sd)
-            for name, _ in sideways(tree, site):
+            directions.append(("along", vector(direction)))
+            for name, aside in sideways(tree, site):
+                directions.append((name, vector(aside)))
                 text = f"distance of the pushed point from the line of the link, {SIDES[name]}"
                 own.append(Parameter(name, 0.0, "m", -SIDE * thick, SIDE * thick, thick, text))
-        heaviest[joint], found[joint] = mass, PushPlace(body.name, joint, tuple(own))
+        heaviest[joint], found[joint] = mass, PushPlace(body.name, joint, tuple(own), tuple(directions))
     return tuple(found[joint] for joint in sorted(found))
 
 
@@ -73,12 +75,10 @@ def loads_of_push(tree: Tree, place: PushPlace, point: Tensor, angles: Sequence[
         (3, J, ...) [N m or N per N].
     """
     site = next(s for s in body_places(tree) if s.name == place.body)
-    shown = {p.name for p in place.parameters}
-    directions = {"along": link_line(tree, site)[0], **dict(sideways(tree, site))}
     at: list[Any] = [float(x) for x in site.offset]
-    for name, moved in zip(POINT, point, strict=True):
-        if name in shown:
-            at = [x + moved * float(d) for x, d in zip(at, directions[name], strict=True)]
+    for name, direction in place.directions:
+        moved = point[POINT.index(name)]
+        at = [x + moved * d for x, d in zip(at, direction, strict=True)]
     like = torch.zeros(
         torch.broadcast_shapes(point.shape[1:], *(q.shape for q in angles)), dtype=torch.float64
     )
