@@ -36,6 +36,7 @@ from deepkoco.fit.compiling import told_of_compilation
 from deepkoco.fit.data.windows import window_length
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.fit.threads import one_thread
+from deepkoco.logs.held_values import with_held_values
 from deepkoco.logs.lost_rows import with_lost_rows
 from deepkoco.logs.read_logs import Logs, read_logs
 from deepkoco.systems import ExtendedSystem, System, any_system
@@ -94,7 +95,7 @@ def diagnose(
     began = time.perf_counter()
     base = stretchable_if_asked(any_system(system), only)
     recordings, healthy, holdout = (
-        [with_lost_rows(log) for log in read_logs(logs, base)] for logs in (recordings, healthy, holdout)
+        [with_lost_rows(with_held_values(log)) for log in read_logs(logs, base)] for logs in (recordings, healthy, holdout)
     )
     plain = base.base if isinstance(base, ExtendedSystem) else base
     all_causes, measured = catalogue(plain, regrouping=True), measured_channels([*recordings, *holdout])

@@ -37,6 +37,7 @@ from deepkoco.fit.solve.dispersion import dispersion
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.fit.threads import one_thread
+from deepkoco.logs.held_values import with_held_values
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import System
 
@@ -70,6 +71,7 @@ def learn_baseline(
         extension: Largest number of small effects that are added.
         limit: Asked before each of them; it remembers what it refused. None allows all.
     """
+    recordings = [with_held_values(log) for log in recordings]
     system = as_engine_if_shown(recordings, system, length)
     return learn_as_simulated(recordings, system, length, progress, extension, limit)
 

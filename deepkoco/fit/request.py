@@ -16,6 +16,7 @@ from deepkoco.fit.simulate.push import Push
 from deepkoco.fit.solve.encoder_zeros import EncoderZeros
 from deepkoco.fit.solve.nuisances import Nuisances
 from deepkoco.fit.solve.prior import Prior
+from deepkoco.logs.held_values import with_held_values
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import ExtendedSystem, Parameter, System, any_system
 from deepkoco.systems.effects import effects_of
@@ -118,6 +119,7 @@ def make_request(
     if any(bounds and name in bounds for name in delays):
         raise FitError("bounds: the delay of a channel has fixed bounds, 0 to 0.1 s; leave these bounds out")
     values = {p.name: p.value for p in (*extended.parameters, *delays.values())}
+    recordings = [with_held_values(log) for log in recordings]
     windows = cut_windows(recordings, base, window_length(base) if window is None else window)
     moves = moving(windows) if len(windows) else np.zeros(0, dtype=bool)
     if moves.sum() < MIN_FITTED_WINDOWS:

@@ -17,6 +17,7 @@ from deepkoco.diagnose.residuals.residuals import missing_torque
 from deepkoco.fit.data.windows import Windows, cut_windows, moving, window_length
 from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.fit.solve.scaled_inverse import DivergedError
+from deepkoco.logs.held_values import with_held_values
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import System
 
@@ -55,7 +56,8 @@ def fit_log(recordings: Sequence[Recording], system: System, causes: Sequence[Ca
     Raises:
         DesignError: The joint moves too little in the log, or the simulation diverges on it.
     """
-    windows = cut_windows(recordings, system, window_length(system))
+    held = [with_held_values(log) for log in recordings]
+    windows = cut_windows(held, system, window_length(system))
     if len(windows):
         windows = windows.take(moving(windows))
     if len(windows) < MIN_LOG_WINDOWS:
