@@ -79,10 +79,10 @@ def as_engine_if_shown(
         if len(quiet := left.undisturbed()) < len(windows):
             left = LeftOfLogs(quiet)
             held = left(system)
-        law, leaves = closest(system, left, nearest, held=held)
+        law, leaves = closest(system, left, nearest, held=held, noise=left.noise)
     except DivergedError:
         return system
-    if not NOISE < leaves.per_sample <= FAR:
+    if not left.noise < leaves.per_sample <= FAR:
         return law
     with contextlib.suppress(DivergedError):
         # Late commands hide that an engine has them early.
@@ -99,6 +99,7 @@ def closest(
     nearest: Callable[[float], float] = lambda step: step,
     near: float = NEAR,
     held: Left | None = None,
+    noise: float = NOISE,
 ) -> tuple[S, Left]:
     """Return the machine, or its simulation by an engine in the steps that leave least of logs, and what it leaves.
 
@@ -108,6 +109,7 @@ def closest(
         nearest: Step [s] -> the nearest one that an engine which these logs command can have.
         near: Noise variances that a simulation as by the engine of the file leaves at most.
         held: What the machine leaves, where that is known.
+        noise: Noise variances that any simulation leaves of its own logs at most.
 
     Raises:
         DivergedError: A simulation diverges.
@@ -116,11 +118,11 @@ def closest(
     own, found = held, machine
     if MUJOCO in machine.engines:
         own, found = _as_in_file(machine, left, held, near, nearest)
-    if SEMI_IMPLICIT in machine.engines and NOISE < own.per_sample <= FAR:
+    if SEMI_IMPLICIT in machine.engines and noise < own.per_sample <= FAR:
         with contextlib.suppress(DivergedError):
-            again, rigid = _as_rigid(machine, left, held, nearest)
+            again, rigid = _as_rigid(machine, left, held, nearest, None if found is machine else own)
             # The logs choose the steps, too, which a bad model could use; so they have to leave only noise.
-            if again.per_sample <= NOISE and again.less_than(own):
+            if again.per_sample <= noise and again.less_than(own):
                 return rigid, again
     return found, own
 
@@ -153,9 +155,17 @@ def _as_in_file(
 
 
 def _as_rigid(
-    machine: S, left: Callable[[S], Left], held: Left, nearest: Callable[[float], float]
+    machine: S,
+    left: Callable[[S], Left],
+    held: Left,
+    nearest: Callable[[float], float],
+    than: Left | None = None,
 ) -> tuple[Left, S]:
     """What is left in semi-implicit steps of the best length, and their system; a step of 0 is the machine.
+
+    Args:
+        machine, left, held, nearest: As for :func:`closest`.
+        than: What another engine leaves: steps that promise no less are not searched for further. None for none.
 
     Raises:
         DivergedError: A simulation diverges.
@@ -187,6 +197,8 @@ def _as_rigid(
         wanted = nearest(wanted)
         if any(abs(wanted - step) <= SAME * step for step in found):
             break
+        if than is not None and len(found) > 2 and _promised(found, wanted) >= than.cost:
+            return held, machine
         guessed, before = len(found) > 2, _best(found)
         try:
             ask(wanted)
@@ -246,6 +258,12 @@ def _in_steps(machine: S, name: str, step: float) -> S:
     simulated = machine.with_engine(name, step)
     assert simulated is not None
     return simulated
+
+
+def _promised(found: Mapping[float, Left], step: float) -> float:
+    """Return the cost of a step on a parabola through the three best ones."""
+    near = sorted(found, key=lambda each: found[each].cost)[:3]
+    return float(np.polyval(np.polyfit(near, [found[each].cost for each in near], 2), step))
 
 
 def _least(costs: Mapping[float, float]) -> float:

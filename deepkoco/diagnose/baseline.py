@@ -17,6 +17,7 @@ from deepkoco.fit.data.halves import halved
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import ITERATIONS, Fit, FitProblem, Trial
 from deepkoco.fit.simulate.push import Push
+from deepkoco.fit.solve.command_noise import with_command_noise
 from deepkoco.fit.solve.dispersion import dispersion
 from deepkoco.fit.solve.fine_steps import MOST, STEP_ROUNDS, fine_steps, with_steps_cut
 from deepkoco.fit.solve.gauges import Gauge, scale_gauges
@@ -287,6 +288,33 @@ def from_shorter_windows(start: Baseline, windows: Windows, names: tuple[str, ..
     return shorter_first(start.system, start.values, start.prior, names, halves)
 
 
+def first_refit(start: Baseline, windows: Windows) -> tuple[Windows, Fit]:
+    """Fit on windows of half the length or shorter, and ask whether the commands of the log have noise.
+
+    Args:
+        start: Prior and present values.
+        windows: The windows.
+
+    Returns:
+        The windows, with what noise of the commands does to them, and the fit on the half windows.
+
+    Raises:
+        DivergedError: The simulation diverges at the present values.
+    """
+    names, problem_of = start.prior.names, partial(FitProblem, start.system)
+    first = from_shorter_windows(start, windows, names)
+    chosen = few_windows(windows, len(names))
+    halves = windows.valid[chosen].sum()
+    if windows.wander is not None or first.chi2 <= white_limit(windows) * float(halves):
+        return windows, first
+    state = windows.state.clone()
+    state[torch.from_numpy(chosen)] = first.state[::2]
+    noisy = with_command_noise(problem_of, windows, first.values, state)
+    if noisy is windows:
+        return windows, first
+    return noisy, on_half_windows(replace(start, values=first.values), noisy, names)
+
+
 def few_windows(windows: Windows, parameters: int) -> np.ndarray:
     """Return the windows with which a fit of so many parameters can begin: an even choice of many, else all."""
     most = max(FEW_WINDOWS, parameters // 2)
@@ -313,6 +341,8 @@ def refit_sharply(start: Baseline, windows: Windows, first: Fit | None = None) -
     Raises:
         DivergedError: The simulation diverges at the present values.
     """
+    if first is None:
+        windows, first = first_refit(start, windows)
     fit = refit(start, windows, first=first)
     windows = with_sharp_noise(windows, fit)
     windows, fit = with_lost_rows_fitted(partial(FitProblem, start.system), windows, fit, start.prior)
@@ -324,7 +354,7 @@ def refit_sharply(start: Baseline, windows: Windows, first: Fit | None = None) -
         fit = FitProblem(start.system, windows).fit_one(trial)
         if parts == 1:
             break
-    if fit.chi2 / windows.samples > white_limit(windows):
+    if windows.wander is None and fit.chi2 / windows.samples > white_limit(windows):
         noisy = with_rounded_commands(partial(FitProblem, start.system), windows, fit)
         if noisy is not windows:
             trial = Trial("refit", fit.free, start.prior, fit.values, fit.state, fit.nuisance)
@@ -375,6 +405,7 @@ def noisier(windows: Windows, floor: float, correlation: float = 1.0) -> Windows
         noise=tuple(n.times(math.sqrt(floor)) for n in windows.noise),
         varies={n: sd / math.sqrt(correlation) for n, sd in windows.varies.items()},
         stamp_sd=tuple(math.sqrt(floor) * sd for sd in windows.stamp_sd),
+        wander=None if windows.wander is None else windows.wander.times(math.sqrt(floor)),
     )
 
 

@@ -166,7 +166,7 @@ def kept_as_given(gain: Gain, system: ExtendedSystem, seed: int) -> Gain | None:
 
 
 def _measured(system: ExtendedSystem, windows: Windows, fits: Mapping[str, Fit], seed: int) -> Gain:
-    error = {name: (fit.residual * windows.sample_sd).numpy() for name, fit in fits.items()}
+    error = {name: windows.errors(fit.residual).numpy() for name, fit in fits.items()}
     valid = windows.valid.numpy()
     channels = []
     for c, channel in enumerate(system.measurements):

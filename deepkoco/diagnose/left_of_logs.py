@@ -8,6 +8,7 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+import torch
 
 from deepkoco.diagnose.baseline import Baseline, baseline_from, few_windows, on_half_windows
 from deepkoco.diagnose.causes.timing import STARTS
@@ -15,6 +16,7 @@ from deepkoco.fit.data.halves import halved
 from deepkoco.fit.data.own_steps import in_steps_of
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import ITERATIONS, Fit, FitProblem, Trial
+from deepkoco.fit.solve.command_noise import LEFT, with_command_noise
 from deepkoco.fit.solve.fine_steps import fine_steps, with_steps_cut
 from deepkoco.fit.solve.lazy_batch import MANY
 from deepkoco.fit.solve.scaled_inverse import DivergedError
@@ -73,6 +75,16 @@ class LeftOfLogs:
         start, windows = self._start(law)
         names = start.prior.names
         fit = on_half_windows(start, windows, names, self._iterations(windows, names))
+        if law.engine is None and windows.wander is None and fit.chi2 > NOISE * max(windows.samples, 1):
+            state = windows.state.clone()
+            state[torch.from_numpy(few_windows(windows, len(names)))] = fit.state[::2]
+            noisy = with_command_noise(partial(FitProblem, start.system), windows, fit.values, state)
+            if noisy is not windows:
+                # What noise of the commands does is nearly the same whatever the law.
+                self.windows = replace(self.windows, wander=noisy.wander, noise=noisy.noise)
+                windows = noisy
+                start = replace(start, values={**start.values, **{n: fit.values[n] for n in names}})
+                fit = on_half_windows(start, windows, names, self._iterations(windows, names))
         if law.engine is None and fit.chi2 > NOISE * max(windows.samples, 1):
             # Steps that are too long for these logs leave something, too, and an engine's own are shorter.
             problem_of = partial(FitProblem, start.system)
@@ -86,6 +98,11 @@ class LeftOfLogs:
         chosen = few_windows(windows, len(names))
         self._each[chosen] = own.numpy() / windows.valid[chosen].flatten(1).sum(1).clamp_min(1).numpy()
         return self._kept(fit, names)
+
+    @property
+    def noise(self) -> float:
+        """Noise variances that a simulation leaves of its own logs at most."""
+        return NOISE if self.windows.wander is None else NOISE + LEFT
 
     def undisturbed(self) -> Windows:
         """The windows of which no more is left than of most: in the others something happened, such as a push.

@@ -49,7 +49,9 @@ def on_longer_windows(
     pushed = found.lost is not None or any(c.effect == "event" for c in found.accepted)
     # Causes within their tolerance would be part of the one fit and not of the other.
     small = any(set(m.cause.free) <= set(found.final.free) for m in found.minor)
-    if followed or pushed or small or base.start.tempering > 1.0:
+    # Where noise of the commands moves a simulation, it is what keeps it from following, not a missing cause.
+    wanders = base.train.wander is not None
+    if followed or pushed or small or wanders or base.start.tempering > 1.0:
         return request, explanation
     length = request.usual
     while length > request.length:

@@ -16,6 +16,7 @@ from deepkoco.diagnose.evidence.kinks import without_kinks
 from deepkoco.diagnose.tempered import refit_to_windows
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem
+from deepkoco.fit.solve.command_noise import with_noise_like
 from deepkoco.fit.solve.fine_steps import with_steps_cut
 from deepkoco.fit.solve.guessed_commands import guesses_in, with_lost_rows_fitted
 from deepkoco.fit.solve.prior import Prior
@@ -115,6 +116,8 @@ def refit_to_logs(learned: Baseline, data: Data) -> Refitted:
     held = None if data.held is None else replace(data.held, noise=train.noise, varies=varies)
     if held is not None:
         held = with_steps_cut(held, round(data.train.step / train.step))
+    if held is not None and train.wander is not None:
+        held = with_noise_like(partial(FitProblem, start.system), held, reference.values, train)
     if held is not None and train.doubt is not None:
         # Whether something else happens in a held-out window is not known, but how well its channels are simulated is.
         held = replace(held, doubt=train.doubt.amin(0).expand(len(held), -1).clone())

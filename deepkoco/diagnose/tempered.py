@@ -19,7 +19,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from deepkoco.diagnose.baseline import FEW_WINDOWS, Baseline, few_windows, from_shorter_windows, refit_sharply
+from deepkoco.diagnose.baseline import FEW_WINDOWS, Baseline, few_windows, first_refit, refit_sharply
 from deepkoco.diagnose.causes.units import LARGE_MISFIT
 from deepkoco.diagnose.late_commands import LATE, common_delay, sizes_when_late, with_delay_free
 from deepkoco.diagnose.one_controller import with_surplus_as_damping
@@ -60,7 +60,7 @@ def refit_to_windows(start: Baseline, windows: Windows) -> tuple[Baseline, Windo
     if start.healthy is not None or len(start.prior.names) + windows.state.shape[1] < MANY:
         return start, *refit_sharply(start, windows)
     try:
-        first = from_shorter_windows(start, windows, start.prior.names)
+        windows, first = first_refit(start, windows)
     except DivergedError:
         first = None
     few = windows.take(few_windows(windows, len(start.prior.names)))

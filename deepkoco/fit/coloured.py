@@ -58,7 +58,7 @@ class ColouredProblem(FitProblem):
                 known[:, c, lag:] &= given.valid[:, c, :-lag]
             known[:, c, : len(coefficients) - 1] = False
         sd = torch.tensor([f.sd for f in self.filters], dtype=torch.float64)[None, :, None]
-        self.weight = known.to(torch.float64) / sd
+        self.weight, self.whitening = known.to(torch.float64) / sd, None
         self.windows = given.with_value(self._filtered(given.value))
 
     def predict(self, theta: np.ndarray, initial: Tensor, nuisance: Tensor) -> Tensor:
@@ -92,10 +92,9 @@ def whitening(problem: FitProblem, fits: Sequence[Fit]) -> tuple[Whitening, ...]
     windows, result = problem.windows, []
     for c in range(windows.valid.shape[1]):
         inside = windows.valid[:, c].numpy()
-        scale = windows.sample_sd.expand_as(windows.value)[:, c].numpy()
         runs = []
         for fit in fits:
-            error = fit.residual[:, c].numpy() * scale
+            error = windows.errors(fit.residual)[:, c].numpy()
             runs += [row[keep] for row, keep in zip(error, inside, strict=True)]
         shortest = min((len(run) for run in runs), default=0)
         result.append(_burg(runs, min(HIGHEST_ORDER, shortest // PER_ORDER)))

@@ -38,8 +38,7 @@ def replay(found: Identification) -> Picture:
             t = windows.t[w, c].numpy()[valid] + windows.t0[w]
             value = windows.value[w, c].numpy()[valid]
             before, after = (
-                value - (f.residual * windows.sample_sd)[w, c].numpy()[valid]
-                for f in (found.before, found.fit)
+                value - windows.errors(f.residual)[w, c].numpy()[valid] for f in (found.before, found.fit)
             )
             axis.plot(t, value, ".", color=COLOURS["measured"], markersize=3, label="measured")
             axis.plot(t, before, color=COLOURS["before"], label="simulation before the fit")

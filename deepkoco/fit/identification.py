@@ -120,7 +120,7 @@ class Identification:
             valid = windows.valid[:, c]
             if valid.any():
                 before, after = (
-                    float((f.residual * windows.sample_sd)[:, c][valid].square().mean().sqrt())
+                    float(windows.errors(f.residual)[:, c][valid].square().mean().sqrt())
                     for f in (self.before, self.fit)
                 )
                 result[channel.name] = (before, after, channel.unit)

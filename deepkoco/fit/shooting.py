@@ -67,6 +67,7 @@ class ShootingProblem:
         self.high = np.array([declared[n].high for n in self.names])
         self.scale = np.array([declared[n].prior_sd for n in self.names])
         self.weight = windows.valid.to(torch.float64) / windows.sample_sd
+        self.whitening = None if windows.wander is None else windows.wander.whitening(self.weight)
         self.zeros = EncoderZeros.of(system, len(windows.commands), zero_sd)
         self.nuisances = Nuisances(self.zeros, windows.varies)
         self._kept: dict[tuple[str, ...], ExtendedSystem] = {}
@@ -97,6 +98,14 @@ class ShootingProblem:
     def compiled(self) -> bool:
         """Whether a compiled loop or bytecode takes the steps; else torch does."""
         return is_compiled(self.system.base, self.windows.step)
+
+    def weighed(self, difference: Tensor) -> Tensor:
+        """Return differences (..., W, N, M) of measurements as residuals count them: whitened, 0 where padded."""
+        return self.whitened(difference * self.weight)
+
+    def whitened(self, residual: Tensor) -> Tensor:
+        """Return differences (..., W, N, M) in noise standard deviations without what noise of the commands does."""
+        return residual if self.whitening is None else self.whitening.whitened(residual)
 
     def predict(self, theta: np.ndarray, initial: Tensor, nuisance: Tensor) -> Tensor:
         """Simulate measurements (L, W, N, M) for L lanes of parameters (L, P), states (L, W, S), nuisances (L, z)."""
@@ -159,6 +168,7 @@ class ShootingProblem:
         """The same problem with some of its windows only; systems that were made for simulations are shared."""
         part = copy.copy(self)
         part.windows, part.weight = self.windows.take(index.numpy()), self.weight[index]
+        part.whitening = None if self.whitening is None else self.whitening.take(index)
         part._usual, part._uncut = None, False
         return part
 
@@ -181,7 +191,7 @@ class ShootingProblem:
 
     def nuisance_slopes(self, parameters: Tensor) -> Tensor:
         """(z, W, N, M) weighted derivatives by the nuisances, from those by the parameters that vary (V, W, N, M)."""
-        return self.nuisances.slopes(self.weight, self.windows.log, parameters)
+        return self.nuisances.slopes(self.weight, self.windows.log, parameters, self.whitened)
 
     def values_in(self, fit: Fit, log: int | None = None) -> dict[str, float]:
         """Parameters of one log after a fit; without ``log``, their mean over the logs of these windows."""

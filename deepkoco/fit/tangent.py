@@ -72,15 +72,15 @@ class Tangent:
         """Return the number of lanes."""
         return len(self.theta)
 
-    def slopes(self, predicted: Tensor, weight: Tensor) -> Tensor:
+    def slopes(self, predicted: Tensor, problem: ShootingProblem) -> Tensor:
         """Return the whitened slopes (q + S, W, N, M), parameters first.
 
         Args:
             predicted: (1 + q + S, W, N, M) simulated measurements of the lanes.
-            weight: (W, N, M) weights of the measurements, in one over their noise.
+            problem: How the measurements are weighed.
         """
         moved = predicted[1:] - predicted[0]
-        return moved.div_(self.steps[:, None, None, None]).mul_(weight)
+        return problem.whitened(moved.div_(self.steps[:, None, None, None]).mul_(problem.weight))
 
 
 def batches(lanes: Sequence[int], most: int) -> list[np.ndarray]:

@@ -20,17 +20,20 @@ import numpy as np
 from deepkoco.logs.quantum import quantum_of
 
 FEWEST = 50  # changes from which a beat is told
-MOTION = 3.0  # typical gaps between changes, up to which the command moves; rows of a command at rest tell nothing
+MOTION = (
+    3.0  # typical gaps between changes, up to which the command moves; rows of a command at rest tell nothing
+)
 SHORTEST, LONGEST = 0.5, 1.05  # of the mean time between changes, between which the period is searched
-FIRST = 60  # changes in the first stretch that is searched; each further one is four times as long
+FIRST = 40  # changes in the first stretch that is searched; each further one is four times as long
 MORE = 4
 TOP = 24  # periods that are kept from stretch to stretch
 FINE = 81  # periods around the best one, at the end
 PLAIN = 3.0  # grid steps of a change that no rounding hides or moves to another row
-DRIFT = 0.2  # of a row, by which two neighbouring periods of the search differ at the end of a stretch
+DRIFT = 0.05  # of a row, by which two neighbouring periods of the search differ at the end of a stretch
 BINS = 100  # phases in a row
+FINE_BINS = 1000  # at the end
 MISSED = 0.05  # share of the changes that a beat may explain wrongly: stamps are rounded, slow commands stand
-HOPELESS = 0.3  # share of the changes of a first stretch that the best beat explains wrongly, likewise
+HOPELESS = 0.5  # share of the changes of a first stretch that the best beat explains wrongly, likewise
 BETTER = 0.2  # of the errors that a beat counted in rows leaves, below which the one in time is believed
 CONTINUES = 0.3  # correlation of a step with the next one, from which they are samples of a smooth motion
 FEW_ROWS = 4.5  # per beat, up to which steps that do not continue each other are those of a controller
@@ -111,7 +114,9 @@ def beat_of(t: np.ndarray, values: np.ndarray) -> Beat | None:
         return None
     if match.width > NARROW * row:
         return None
-    return Beat(match.period, match.phase + match.period * float(np.floor((t[0] - match.phase) / match.period)))
+    return Beat(
+        match.period, match.phase + match.period * float(np.floor((t[0] - match.phase) / match.period))
+    )
 
 
 def motion_of(values: np.ndarray) -> Motion | None:
@@ -177,7 +182,9 @@ def _numbers(t: np.ndarray, values: np.ndarray, beat: Beat) -> np.ndarray:
     for k in np.flatnonzero(changed & (number == np.append(number[0], number[:-1]))):
         # Two values in one instant: the stamp of the row nearer to an end of it is off.
         late = beat.period - since[k] < since[k - 1]
-        free = k + 1 == len(t) or number[k + 1] > number[k] if late else k == 1 or number[k - 2] < number[k - 1]
+        free = (
+            k + 1 == len(t) or number[k + 1] > number[k] if late else k == 1 or number[k - 2] < number[k - 1]
+        )
         if free:
             number[k if late else k - 1] += 1 if late else -1
     return np.maximum.accumulate(number)
@@ -207,7 +214,10 @@ def _errors_by_row(gaps: np.ndarray, usual: int) -> tuple[int, int]:
         gaps: Rows from a change to the next one.
         usual: Typical one.
     """
-    return min((int((gaps % m != 0).sum() + (gaps // m - 1).clip(min=0).sum()), m) for m in range(max(usual - 1, 1), usual + 2))
+    return min(
+        (int((gaps % m != 0).sum() + (gaps // m - 1).clip(min=0).sum()), m)
+        for m in range(max(usual - 1, 1), usual + 2)
+    )
 
 
 def _search(shown: _Shown, row: float) -> _Match | None:
@@ -220,11 +230,13 @@ def _search(shown: _Shown, row: float) -> _Match | None:
     while True:
         inside = shown.end <= shown.begin[0] + length
         part = _Shown(*(each[inside] for each in shown))
-        found = sorted((_match(part, float(p), row) for p in periods), key=lambda m: (m.errors, -m.width))[:TOP]
+        found = sorted((_match(part, float(p), row) for p in periods), key=lambda m: (m.errors, -m.width))[
+            :TOP
+        ]
         if length >= whole:
             step = DRIFT * row * mean / length
             fine = np.linspace(found[0].period - step, found[0].period + step, FINE)
-            return _in_the_middle(shown, [_match(part, float(p), row) for p in fine], row)
+            return _in_the_middle(shown, [_match(part, float(p), row, FINE_BINS) for p in fine], row)
         if found[0].errors > HOPELESS * int(part.changed.sum()):
             return None
         step = DRIFT * row * mean / length
@@ -238,13 +250,17 @@ def _in_the_middle(shown: _Shown, found: list[_Match], row: float) -> _Match:
     most = min(m.errors for m in found) + SLACK * int(shown.changed.sum())
     good = [m for m in found if m.errors <= most]
     period = np.average([m.period for m in good], weights=[m.width for m in good])
-    return min(_match(shown, float(period), row), *good, key=lambda m: (m.errors > most, abs(m.period - period)))
+    return min(
+        _match(shown, float(period), row), *good, key=lambda m: (m.errors > most, abs(m.period - period))
+    )
 
 
-def _match(shown: _Shown, period: float, row: float) -> _Match:
+def _match(shown: _Shown, period: float, row: float, bins_in_row: int = BINS) -> _Match:
     """Return the phase at which a beat of this period explains the most rows."""
-    bins = max(int(np.ceil(BINS * period / row)), BINS)
-    covered = [_covered(shown.begin[own], shown.end[own], period, bins) for own in (shown.changed, ~shown.changed)]
+    bins = max(int(np.ceil(bins_in_row * period / row)), bins_in_row)
+    covered = [
+        _covered(shown.begin[own], shown.end[own], period, bins) for own in (shown.changed, ~shown.changed)
+    ]
     wrong = int(shown.changed.sum()) - covered[0] + covered[1]
     least = int(wrong.min())
     good = wrong <= least + SLACK * int(shown.changed.sum())

@@ -34,11 +34,13 @@ def with_held_values(recording: Recording) -> Recording:
             continue
         instants, held, row = at_beat(t, values, beat)
         for name, s, value in zip(names, series, held.T, strict=True):
-            channels[name] = replace(s, t=instants, value=value, guessed=None if s.guessed is None else s.guessed[row])
+            channels[name] = replace(
+                s, t=instants, value=value, guessed=None if s.guessed is None else s.guessed[row]
+            )
         told.append(
             f"{_named(names)} {'changes' if len(names) == 1 else 'change'} every {1e3 * beat.period:.4g} ms, between "
-            f"rows of {1e3 * float(np.median(np.diff(t))):.4g} ms: taken from the instants at which rows begin to show a "
-            "change"
+            f"rows of {1e3 * float(np.median(np.diff(t))):.4g} ms: taken from the instants at which rows begin to show "
+            "a change"
         )
     for name in recording.names("measurement"):
         read = _readings(recording.channels[name])
@@ -50,7 +52,9 @@ def with_held_values(recording: Recording) -> Recording:
             )
     if not told:
         return recording
-    return replace(recording, channels={**recording.channels, **channels}, warnings=(*recording.warnings, *told))
+    return replace(
+        recording, channels={**recording.channels, **channels}, warnings=(*recording.warnings, *told)
+    )
 
 
 def _rows_of(recording: Recording, names: tuple[str, ...]) -> Iterator[tuple[str, ...]]:

@@ -120,6 +120,12 @@ class Valley:
         samples=3,
     )
 
+    def weighed(self, difference):
+        return self.weight * difference
+
+    def whitened(self, residual):
+        return residual
+
     @property
     def with_usual_steps(self):
         return self

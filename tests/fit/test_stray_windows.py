@@ -47,6 +47,12 @@ class OneStray:
     def with_usual_steps(self):
         return self
 
+    def weighed(self, difference):
+        return self.weight * difference
+
+    def whitened(self, residual):
+        return residual
+
     def of_windows(self, index):
         return OneStray([self.index[i] for i in index.tolist()], self.simulated)
 

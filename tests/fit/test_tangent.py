@@ -1,5 +1,7 @@
 """Lanes of finite differences, and the slopes that are made of them."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import torch
@@ -62,7 +64,8 @@ def test_slopes_of_a_linear_simulation_are_its_coefficients(problem):
     predicted = torch.from_numpy(tangent.theta) @ by_parameter
     predicted = (predicted[:, None] + tangent.state @ by_state)[:, :, None, None]
     weight = torch.full((len(state), 1, 1), 3.0, dtype=torch.float64)
-    slopes = tangent.slopes(predicted, weight)
+    weighing = SimpleNamespace(weight=weight, whitened=lambda slopes: slopes)
+    slopes = tangent.slopes(predicted, weighing)
     expected = 3.0 * torch.cat([by_parameter[columns], by_state])
     torch.testing.assert_close(slopes, expected[:, None, None, None].expand_as(slopes), rtol=1e-6, atol=1e-6)
 
@@ -85,7 +88,7 @@ def test_lanes_of_cut_steps_are_points_with_these_steps_and_differences_with_usu
         own, exact = lanes[at : at + len(tangent)], cut.predict(tangent.theta, tangent.state, none)
         at += len(tangent)
         torch.testing.assert_close(own[0], exact[0], rtol=0.0, atol=1e-12)
-        found, wanted = tangent.slopes(own, cut.weight), tangent.slopes(exact, cut.weight)
+        found, wanted = tangent.slopes(own, cut), tangent.slopes(exact, cut)
         for a, b in zip(found, wanted, strict=True):
             assert float((a - b).norm()) < 1e-2 * float(b.norm())
     assert at == len(lanes)

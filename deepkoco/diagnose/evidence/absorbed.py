@@ -54,7 +54,7 @@ def alike(
         theta = np.array([[lane[n] for n in problem.names] for lane in lanes])
         shape = (len(lanes), 1, 1)
         shown = problem.predict(theta, fit.state.repeat(shape), fit.nuisance.repeat(len(lanes), 1))
-        shown = shown * problem.weight
+        shown = problem.weighed(shown)
         if (shown[2] - shown[0]).norm() <= SAME * (shown[1] - shown[0]).norm():
             found[p.name] = value
     return found

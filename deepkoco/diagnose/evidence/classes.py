@@ -79,7 +79,7 @@ def expected_gaps(
     accepted: tuple[Cause, ...],
 ) -> list[float]:
     """Return chi2 of each candidate fitted to noise-free measurements simulated from the winner."""
-    shown = problem.windows.value - winner.fit.residual / problem.weight.clamp_min(1e-300)
+    shown = problem.windows.value - problem.windows.errors(winner.fit.residual)
     clean = FitProblem(
         problem.system, problem.windows.with_value(torch.where(problem.windows.valid, shown, 0.0))
     )

@@ -10,6 +10,7 @@ import torch
 
 from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.residuals.residuals import MissingTorque, missing_torque
+from deepkoco.fit.data.wander import joined
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.simulate.push import QUIET
@@ -145,6 +146,7 @@ def _joined(a: Windows, b: Windows) -> Windows:
         a,
         doubt=both("doubt"),
         way=both("way"),
+        wander=None if a.wander is None or b.wander is None else joined(a.wander, b.wander),
         log=np.concatenate([a.log, b.log]),
         t0=np.concatenate([a.t0, b.t0]),
         t=torch.cat([a.t, b.t]),

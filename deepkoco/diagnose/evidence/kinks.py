@@ -40,7 +40,7 @@ def without_kinks(problem: FitProblem, start: Baseline, fit: Fit) -> Fit:
     lanes = [fit.values, *({**fit.values, n: given[n]} for n in names)]
     theta = np.array([[lane[n] for n in problem.names] for lane in lanes])
     shown = problem.predict(theta, fit.state.repeat(len(lanes), 1, 1), fit.nuisance.repeat(len(lanes), 1))
-    residual = fit.residual - (shown[1:] - shown[0]) * problem.weight
+    residual = fit.residual - problem.weighed(shown[1:] - shown[0])
     rise = (residual**2).flatten(1).sum(1).numpy() - float((fit.residual**2).sum())
     back = {n: given[n] for n, r in zip(names, rise, strict=True) if r <= WORTH * deflation}
     if not back:

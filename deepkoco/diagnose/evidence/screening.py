@@ -211,9 +211,9 @@ class Linearised:
         columns = np.array([problem.names.index(n) for n in (*free, *also)], dtype=int)
         tangent = Tangent.at(problem, theta, columns, reference.state)
         predicted = simulated(problem, [tangent], reference.nuisance[None])
-        slopes = tangent.slopes(predicted, problem.weight)
+        slopes = tangent.slopes(predicted, problem)
         precision, offset = map(torch.from_numpy, prior.penalty(free).at(theta[columns[: len(free)]]))
-        self.residual = (problem.windows.value - predicted[0]) * problem.weight
+        self.residual = problem.weighed(problem.windows.value - predicted[0])
         p, self.states = len(free), slopes[len(columns) :]
         own = problem.nuisance_slopes(slopes[[(*free, *also).index(n) for n in problem.nuisances.varies]])
         self.normal = NormalEquations.build(
@@ -269,7 +269,7 @@ class Linearised:
             states = reference.state[None].expand(len(chunk), -1, -1)
             nuisance = reference.nuisance[None].expand(len(chunk), -1)
             predicted = problem.with_usual_steps.predict(chunk, states, nuisance)
-            change = (predicted[1:] - predicted[0]) * problem.weight
+            change = problem.weighed(predicted[1:] - predicted[0])
             parts.append(change.reshape(len(chunk) - 1, len(problem.windows), -1))
         return torch.cat(parts) if parts else torch.zeros(0, len(problem.windows), 1, dtype=torch.float64)
 

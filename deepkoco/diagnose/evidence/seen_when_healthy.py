@@ -130,9 +130,9 @@ def healthy_shows_pushes(
     if healthy is None:
         return False
     usual = replace(healthy.windows, noise=windows.noise)
-    share = healthy.windows.sample_sd / usual.sample_sd
-    fit = replace(healthy.fit, residual=healthy.fit.residual * share)
-    there = missing_torque(FitProblem(start.system, usual), fit)
+    problem = FitProblem(start.system, usual)
+    error = healthy.windows.errors(healthy.fit.residual)
+    there = missing_torque(problem, replace(healthy.fit, residual=problem.weighed(error)))
     joint = cause.joint or 0
     known = there[joint].score
     chance = 2.0 * math.log(max(known.size, 1))

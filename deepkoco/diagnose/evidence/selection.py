@@ -281,7 +281,7 @@ def _as_given(problem: FitProblem, start: Baseline, reference: Fit) -> Fit | Non
         return None
     theta, state = np.array([[values[n] for n in problem.names]]), states[0]
     shown = problem.predict(theta, states, nuisance)[0]
-    residual = (problem.windows.value - shown) * problem.weight
+    residual = problem.weighed(problem.windows.value - shown)
     return replace(
         reference, values=values, state=state, residual=residual, chi2=float(residual.square().sum())
     )

@@ -75,7 +75,7 @@ def slipped(
         few = torch.from_numpy(np.unique(np.linspace(0, len(problem.windows) - 1, FEW_WINDOWS).astype(int)))
         part = problem.of_windows(few)
         shown = part.predict(theta, states[:, few], reference.nuisance[None].repeat(len(values), 1))
-        cost = ((part.windows.value - shown) * part.weight).square().sum((1, 2, 3)).nan_to_num(torch.inf)
+        cost = part.weighed(part.windows.value - shown).square().sum((1, 2, 3)).nan_to_num(torch.inf)
         least = float(reference.residual[few].square().sum()) + reference.penalty
         # Initial states lower the cost of a simulation that is right a few times, and hardly that of others.
         hopeful = [k for k in cost.argsort().tolist() if cost[k] <= most * least][: 2 * SLIPS]

@@ -79,7 +79,7 @@ def simulated(
     for s in range(states):
         initial[1 + s, :, s] += tiny
     at = predict(system, windows, named, initial, push)
-    slopes = ((at[1:] - at[0]) * problem.weight).flatten(2).permute(1, 2, 0)  # (W, samples, states)
+    slopes = problem.weighed(at[1:] - at[0]).flatten(2).permute(1, 2, 0)  # (W, samples, states)
     ring = max(len(own) for own in spans)
     spans = spans if asked is None else asked
     commands, sizes = _with_offsets(windows, index, ring, sent)
@@ -99,7 +99,7 @@ def simulated(
         wide = None if push is None else push[:, :, row]
         moved = predict(system, many, named, fit.state[row][None], wide)[0]
         size = torch.from_numpy(np.concatenate([sizes[windows.log[w]][spans[w]] for w in picked]))
-        change = ((moved - at[0][row]) * problem.weight[row]).flatten(1) / size[:, None]
+        change = problem.of_windows(row).weighed(moved - at[0][row]).flatten(1) / size[:, None]
         for w, response in zip(picked, change.split([len(spans[w]) for w in picked]), strict=True):
             is_there = windows.valid[w].flatten().numpy()
             yield Simulated(slopes[w].numpy()[is_there], response.mT.numpy()[is_there])

@@ -55,11 +55,11 @@ def columns_at(problem: FitProblem, point: Fit, coordinates: Sequence[Coordinate
         parts.append(problem.predict(theta_all[chunk], states[chunk], point.nuisance[None].repeat(count, 1)))
     predicted = torch.cat(parts)
     windows, own = len(problem.windows), len(tangent)
-    slopes = tangent.slopes(predicted[:own], problem.weight)
+    slopes = tangent.slopes(predicted[:own], problem)
     dose = torch.tensor([c.dose for c in coordinates], dtype=torch.float64)
-    changes = (predicted[own:] - predicted[0]) / dose[:, None, None, None] * problem.weight
+    changes = problem.weighed((predicted[own:] - predicted[0]) / dose[:, None, None, None])
     changes = torch.where(torch.isfinite(changes).flatten(1).all(1)[:, None, None, None], changes, 0.0)
-    residual = (problem.windows.value - predicted[0]) * problem.weight
+    residual = problem.weighed(problem.windows.value - predicted[0])
     return Columns(
         changes.reshape(len(coordinates), windows, -1).permute(1, 2, 0).numpy(),
         slopes.reshape(len(slopes), windows, -1).permute(1, 2, 0).numpy(),

@@ -53,7 +53,7 @@ def slot_responses(problem: FitProblem, fit: Fit) -> np.ndarray:
     initial = fit.state[None].repeat(lanes, 1, 1)
     push = push if had is None else push + had
     predicted = under_loads(problem, acting_system(problem, fit), named, initial, push)
-    moved = ((predicted[1:] - predicted[0]) * problem.weight / DOSE).reshape(lanes - 1, len(windows), -1)
+    moved = (problem.weighed(predicted[1:] - predicted[0]) / DOSE).reshape(lanes - 1, len(windows), -1)
     # Where a load makes the simulation diverge, the window says nothing of it.
     moved = torch.where(torch.isfinite(moved).all(-1, keepdim=True), moved, 0.0)
     return moved.permute(1, 2, 0).numpy()

@@ -298,7 +298,7 @@ def _raised(problem, fixed, refits, trials) -> set[int]:
     windows, raised = len(problem.windows), set()
     for k, own in zip(later, predicted, strict=True):
         refit, (value, weights, _) = refits[k], trials[k]
-        residual = ((problem.windows.value - own) * problem.weight).reshape(windows, -1).numpy()
+        residual = problem.weighed(problem.windows.value - own).reshape(windows, -1).numpy()
         residual = residual - fixed.linear @ weights
         left = misfit(fixed.loads, residual, _amplitude(fixed, refit))
         cost = left + _prior(problem, fixed, refit, value, weights)[2]
@@ -330,8 +330,8 @@ def _with_slopes(problem, fixed, refits, trials) -> list[_Equations | None]:
 
 def _equations(problem, fixed, refit, value, weights, tangent, predicted) -> _Equations | None:
     windows = len(problem.windows)
-    slopes = tangent.slopes(predicted, problem.weight).reshape(len(tangent) - 1, windows, -1)
-    residual = ((problem.windows.value - predicted[0]) * problem.weight).reshape(windows, -1)
+    slopes = tangent.slopes(predicted, problem).reshape(len(tangent) - 1, windows, -1)
+    residual = problem.weighed(problem.windows.value - predicted[0]).reshape(windows, -1)
     if not (torch.isfinite(slopes).all() and torch.isfinite(residual).all()):
         return None
     slopes, residual = slopes.permute(1, 2, 0).numpy(), residual.numpy() - fixed.linear @ weights

@@ -200,7 +200,7 @@ def missing_torque(problem: FitProblem, fit: Fit, inflation: float = 1.0) -> tup
     base = acting_system(problem, fit)
     had = push_of(problem, theta)
     predicted = under_loads(problem, base, named, initial, push if had is None else push + had)
-    slope = ((predicted[1:] - predicted[0]) * problem.weight).reshape(lanes - 1, len(windows), -1)
+    slope = problem.weighed(predicted[1:] - predicted[0]).reshape(lanes - 1, len(windows), -1)
     # Where a load, or a change of the state, makes the simulation diverge, the window says nothing of it.
     slope = torch.where(torch.isfinite(slope).all(-1, keepdim=True), slope, 0.0)
     scale = torch.tensor(units, dtype=torch.float64).repeat_interleave(SLOTS)

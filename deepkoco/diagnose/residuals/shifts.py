@@ -76,8 +76,12 @@ def _told(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Slope and curvature (W, M) of half of chi2 by a step at each sample, that lasts to the end of its window."""
     count, size, samples = problem.windows.value.shape
-    own = residual.reshape(count, size, samples).numpy()
-    states = basis.reshape(count, size, samples, -1).numpy()
+    # A step is whitened as residuals are, by a symmetric matrix, so whitening these once more tells the same.
+    own = problem.whitened(residual.reshape(count, size, samples)).numpy()
+    columns = problem.whitened(basis.reshape(count, size, samples, -1).movedim(-1, 0)).movedim(0, -1)
+    if problem.whitening is not None:
+        columns = torch.cat([columns, problem.whitening.hidden.reshape(count, size, samples, -1)], -1)
+    states = columns.numpy()
     weight = problem.weight.numpy()
     match, energy = np.zeros((2, count, samples))
     shown = np.zeros((count, samples, states.shape[-1]))

@@ -49,7 +49,7 @@ class Waves(NamedTuple):
         if self.joint not in windows.shows:
             return path
         c = list(windows.shows).index(self.joint)
-        off = (self.fit.residual.reshape(windows.value.shape) / self.problem.weight)[:, c].numpy()
+        off = windows.errors(self.fit.residual.reshape(windows.value.shape))[:, c].numpy()
         nodes = windows.step * np.arange(windows.steps + 1)
         for w in range(len(windows)):
             valid = windows.valid[w, c].numpy()
@@ -141,5 +141,5 @@ class Waves(NamedTuple):
         pushed = push_torque(windows, theta[None, -len(Push.NAMES) :], problem.system)
         push = push if pushed is None else push + pushed
         predicted = under_loads(problem, self.system, self._named(), initial, push)
-        change = ((predicted[1:] - predicted[0]) * problem.weight).reshape(lanes - 1, len(windows), -1)
+        change = problem.weighed(predicted[1:] - predicted[0]).reshape(lanes - 1, len(windows), -1)
         return torch.where(torch.isfinite(change).all(-1, keepdim=True), change, 0.0)

@@ -278,7 +278,7 @@ def _same_measurements(
     lanes = [fit.values, without, *({**without, n: v} for n, v in tried.items())]
     theta = np.array([[lane[n] for n in problem.names] for lane in lanes])
     shown = problem.predict(theta, fit.state.repeat(len(lanes), 1, 1), fit.nuisance.repeat(len(lanes), 1))
-    shown = shown * problem.weight
+    shown = problem.weighed(shown)
     moved = (shown[1] - shown[0]).norm()
     return tuple(
         n for n, own in zip(tried, shown[2:], strict=True) if (own - shown[0]).norm() <= SAME * moved

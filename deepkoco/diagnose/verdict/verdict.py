@@ -79,8 +79,8 @@ def verdict_of(
     most = MIN_EXPLAINED if gain is not None else MIN_EXPLAINED_STRICT
     if start.healthy is not None:
         most = MIN_EXPLAINED_STRICT if only_flexible(found) else MIN_EXPLAINED_HEALTHY
-    pushes = sum(c.effect == "event" for c in causes)
-    lasting = len(causes) - pushes
+    # Held-out windows do not repeat what happens once.
+    lasting = sum(not c.searched for c in causes)
     if doubts:
         return Ruling("unknown")
     # Three causes that are all pushes, tones or detents can fit nearly any residual.
@@ -93,7 +93,7 @@ def verdict_of(
             "unknown",
             f"Nearly any difference can be fitted with {_told(found)}, and more than noise is left.",
         )
-    # Pushes and lost commands do not repeat in the held-out windows, which still show what lasts beside a push.
+    # Neither do they repeat lost commands, but they still show what lasts beside a push.
     beside = gain if found.lost is None and not lasting else None
     if beside is not None:
         unseen = beside.replayed

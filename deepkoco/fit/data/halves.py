@@ -8,6 +8,7 @@ import numpy as np
 import torch
 
 from deepkoco.fit.data.unseen_positions import carried_on
+from deepkoco.fit.data.wander import Wander
 from deepkoco.fit.data.way_before import way_after
 from deepkoco.fit.data.windows import Windows, first_state
 
@@ -31,7 +32,7 @@ def halved(windows: Windows) -> Windows:
             guess, *shown = (x[w].numpy() for x in (windows.state, windows.t, windows.value, windows.valid))
             for joint, position in carried_on(guess, *shown, shows=windows.shows, until=k * half).items():
                 state[joint] = position
-            parts.append((*pick, state))
+            parts.append((*pick, state, order))
     size = int(max((part[2].sum(-1).max() for part in parts), default=0))
     return replace(
         windows,
@@ -46,7 +47,19 @@ def halved(windows: Windows) -> Windows:
         rests=np.repeat(windows.rests, 2),
         doubt=None if windows.doubt is None else windows.doubt.repeat_interleave(2, 0),
         way=None if windows.way is None else _ways_of_halves(windows, half),
+        wander=None
+        if windows.wander is None
+        else _wander_of_halves(windows.wander, [p[4] for p in parts], size),
     )
+
+
+def _wander_of_halves(wander: Wander, orders: list[torch.Tensor], size: int) -> Wander:
+    """Noise before the second half moves its initial state, which is free."""
+    moves = [
+        wander.moves[k // 2].gather(1, order[:, :size, None].expand(-1, -1, wander.moves.shape[-1]))
+        for k, order in enumerate(orders)
+    ]
+    return Wander(wander.sd, torch.stack(moves))
 
 
 def _ways_of_halves(windows: Windows, half: float) -> torch.Tensor:

@@ -16,6 +16,7 @@ from deepkoco.fit.data.per_log_differences import Known, known_of
 from deepkoco.fit.data.rest import resting_stamps
 from deepkoco.fit.data.series import CommandSeries, channel_series, scatter_taken_out
 from deepkoco.fit.data.unseen_positions import unseen_positions
+from deepkoco.fit.data.wander import Wander, Whitening
 from deepkoco.fit.data.way_before import hidden_by, ways_of
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import Motion, System
@@ -65,6 +66,7 @@ class Windows:
             their place [s], see :mod:`.even_stamps`; empty where none did.
         own_steps: Whether the integration steps are the system's own, which nobody cuts: :attr:`.System.own_step`.
         doubt: (W, N) factor of the noise of a channel in a window, at least 1; None for 1. See :mod:`..solve.robust`.
+        wander: What noise of the commands does to the measurements; None where they are exact. See :mod:`.wander`.
     """
 
     commands: tuple[CommandSeries, ...]
@@ -87,6 +89,7 @@ class Windows:
     unseen: tuple[float, ...] = ()
     taken_out: tuple[float, ...] = ()
     own_steps: bool = False
+    wander: Wander | None = None
 
     def __len__(self) -> int:
         return len(self.t0)
@@ -116,6 +119,17 @@ class Windows:
         rate = rates(self.t.numpy(), self.value.numpy(), self.valid.numpy())
         return torch.sqrt(sd**2 + (stamps[:, None, None] * torch.from_numpy(rate)) ** 2)
 
+    def whitening(self) -> Whitening | None:
+        """How residuals in noise standard deviations are whitened; None where they are not."""
+        if self.wander is None:
+            return None
+        return self.wander.whitening(self.valid.to(torch.float64) / self.sample_sd)
+
+    def errors(self, residual: Tensor) -> Tensor:
+        """Return measured minus simulated values (W, N, M) in the channels' units, from the residuals of a fit."""
+        whitening = self.whitening()
+        return (residual if whitening is None else whitening.as_measured(residual)) * self.sample_sd
+
     def prolonged(self, seconds: float) -> Windows:
         """The same windows with integration steps for a time beyond their end; the measurements stay."""
         return replace(self, steps=self.steps + math.ceil(seconds / self.step)) if seconds > 0.0 else self
@@ -135,6 +149,7 @@ class Windows:
             rests=self.rests[index],
             doubt=None if self.doubt is None else self.doubt[pick],
             way=None if self.way is None else self.way[pick],
+            wander=None if self.wander is None else self.wander.take(pick),
         )
 
     def with_value(self, value: Tensor) -> Windows:

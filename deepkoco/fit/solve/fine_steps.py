@@ -46,7 +46,7 @@ def fine_steps(
     parts, own = 1, _simulated(problem_of, windows, fit, 1)
     finest = _simulated(problem_of, windows, fit, most)
     # The fit may be of other noise than these windows have.
-    target = windows.value * problem_of(windows).weight
+    target = problem_of(windows).weighed(windows.value)
     left = (replace(fit, residual=target - simulated) for simulated in (own, finest))
     told = UNSEEN * min(dispersion(each, windows).deflation for each in left)
     while parts < most and float((finest - own).square().sum()) > told:
@@ -99,4 +99,4 @@ def _simulated(
     """Return the simulated measurements (W, N, M) of a fit, in standard deviations of the noise; 0 where padded."""
     problem = problem_of(with_steps_cut(windows, parts))
     theta = np.array([[float(fit.values[n]) for n in problem.names]])
-    return problem.predict(theta, fit.state[None], fit.nuisance[None])[0] * problem.weight
+    return problem.weighed(problem.predict(theta, fit.state[None], fit.nuisance[None])[0])

@@ -140,7 +140,7 @@ def slopes_at(
         lanes: (1 + q + v + S, W, N, M) their measurements.
         names: The q parameters.
     """
-    slopes = tangent.slopes(lanes, problem.weight)
+    slopes = tangent.slopes(lanes, problem)
     moved = [*names, *varying(problem, names)]
     of_varying = slopes[[moved.index(n) for n in problem.nuisances.varies]]
     rows = torch.cat([slopes[: len(names)], problem.nuisance_slopes(of_varying)])

@@ -88,8 +88,8 @@ def with_guesses_fitted(
     theta = np.array([float(fit.values[n]) for n in problem.names])
     tangent = Tangent.at(problem, theta, columns, fit.state)
     usual = simulated(problem, [tangent], fit.nuisance[None])
-    slopes = tangent.slopes(usual, problem.weight).flatten(2)  # (p + S, W, NM)
-    residual = ((windows.value - usual[0]) * problem.weight).flatten(1)
+    slopes = tangent.slopes(usual, problem).flatten(2)  # (p + S, W, NM)
+    residual = problem.weighed(windows.value - usual[0]).flatten(1)
     ranks, lanes = _lanes(windows)
     errors = [_errors(series) for series in given.commands]
     count, size = errors[0].shape[1], fit.state.shape[1]
@@ -103,7 +103,7 @@ def with_guesses_fitted(
             )
             other = problem_of(replace(windows, commands=these))
             shown = other.predict(theta[None], fit.state[None], fit.nuisance[None])[0]
-            moved.append(((shown - usual[0]) * problem.weight / STEP).flatten(1))
+            moved.append((problem.weighed(shown - usual[0]) / STEP).flatten(1))
     guesses = torch.stack(moved)  # (M lanes, W, NM)
     # A guess is a state of its window, and its prior is one more residual.
     tight = max(fit.chi2 / max(windows.samples, 1), 1.0) ** 0.5

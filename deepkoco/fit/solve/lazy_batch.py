@@ -224,8 +224,8 @@ class LazyBatch(Batch):
             self.nuisance[k] + torch.from_numpy(sides)[:, None] * way[2],
         )
         # Predictions around the point, in standard deviations: their second difference is that of the residuals.
-        here = (problem.windows.value * problem.weight - normal.residual) * 2.0
-        second = ((shown * problem.weight).sum(0) - here).flatten(1) / PROBE**2
+        here = (problem.weighed(problem.windows.value) - normal.residual) * 2.0
+        second = (problem.weighed(shown).sum(0) - here).flatten(1) / PROBE**2
         if not bool(torch.isfinite(second).all()):
             return theta, initial, nuisance
         p, free = len(columns), self.trials[k].free
@@ -311,17 +311,17 @@ class LazyBatch(Batch):
         nuisance: Tensor,
     ) -> NormalEquations:
         problem, free = self.problem, self.trials[k].free
-        residual = (problem.windows.value - lanes[0]) * problem.weight
+        residual = problem.weighed(problem.windows.value - lanes[0])
         fresh: dict[str, Tensor] = {}
         slopes = self.slopes[k]
         if self.renewing[k] and (self.whole[k] or slopes is None):
             self.slopes[k] = slopes_at(problem, tangent, lanes, free)
         elif self.renewing[k]:
             assert slopes is not None
-            self.slopes[k] = slopes.replaced(moved, tangent.slopes(lanes, problem.weight))
+            self.slopes[k] = slopes.replaced(moved, tangent.slopes(lanes, problem))
             fresh = {n: s for n, s in self.fresh[k].items() if n not in slopes.names}
         else:
-            fresh = dict(zip(moved, tangent.slopes(lanes, problem.weight), strict=True))
+            fresh = dict(zip(moved, tangent.slopes(lanes, problem), strict=True))
         self.fresh[k] = fresh
         return self._built(k, residual, theta, nuisance)
 

@@ -190,7 +190,7 @@ class Batch:
             return {}
         result = {}
         for k, own in zip(later, problem.predict(theta[later], initial[later], nuisance[later]), strict=True):
-            residual = (problem.windows.value - own) * problem.weight
+            residual = problem.weighed(problem.windows.value - own)
             normal = _of_states(residual[None][:0], residual)
             penalty = self._penalty(k, theta[k], nuisance[k])
             if not normal.chi2 + penalty <= self.cost[k]:
@@ -209,8 +209,8 @@ class Batch:
     ) -> NormalEquations:
         """Normal equations of a trial from its simulated lanes (1 + q + S, W, N, M)."""
         problem, p = self.problem, len(self.columns[k])
-        slopes = tangent.slopes(lanes, problem.weight)
-        residual = (problem.windows.value - lanes[0]) * problem.weight
+        slopes = tangent.slopes(lanes, problem)
+        residual = problem.weighed(problem.windows.value - lanes[0])
         prior, offset = map(torch.from_numpy, self.penalties[k].at(theta[self.columns[k]]))
         own = problem.nuisance_slopes(slopes[[int(np.flatnonzero(columns == v)[0]) for v in varying]])
         states, precision = slopes[len(columns) :], problem.nuisances.precision

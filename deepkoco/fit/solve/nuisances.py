@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -63,17 +63,20 @@ class Nuisances:
             n: nuisance[:, first + k * logs : first + (k + 1) * logs].T for k, n in enumerate(self.varies)
         }
 
-    def slopes(self, weight: Tensor, log: np.ndarray, parameters: Tensor) -> Tensor:
+    def slopes(
+        self, weight: Tensor, log: np.ndarray, parameters: Tensor, whitened: Callable[[Tensor], Tensor]
+    ) -> Tensor:
         """(count, W, N, M) derivatives of the measurements by the nuisances, times the weights.
 
         Args:
             weight: (W, N, M) 1 / noise standard deviation, 0 where padded.
             log: (W,) log of each window.
-            parameters: (V, W, N, M) weighted derivatives by the parameters that vary.
+            parameters: (V, W, N, M) whitened derivatives by the parameters that vary.
+            whitened: Whitens weighted derivatives.
         """
         of_log = torch.from_numpy(log[None] == np.arange(self.zeros.logs)[:, None])
         each = parameters[:, None] * of_log[None, :, :, None, None]
-        return torch.cat([self.zeros.slopes(weight, log), each.flatten(0, 1)])
+        return torch.cat([whitened(self.zeros.slopes(weight, log)), each.flatten(0, 1)])
 
     def known_in(self, windows: Windows, nuisance: Tensor) -> Windows:
         """Add the differences of a vector (count,) to the known ones of the windows; then nothing varies."""

@@ -31,7 +31,9 @@ def sharpen_noise(windows: Windows, fit: Fit) -> tuple[Noise, ...]:
             continue
         residual = (fit.residual[:, c] * sd[:, c]).numpy()
         quantum = quantum_of(windows.value[:, c][windows.valid[:, c]].numpy())
-        result.append(residual_noise(windows.t[:, c].numpy(), residual, valid, quantum, noise))
+        given = noise._replace(sd=noise.sensor_sd, simulated_sd=0.0)
+        found = residual_noise(windows.t[:, c].numpy(), residual, valid, quantum, given)
+        result.append(found.with_simulated(noise.simulated_sd**2))
     return tuple(result)
 
 

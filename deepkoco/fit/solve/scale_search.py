@@ -144,7 +144,7 @@ def _costs(problem: ShootingProblem, lanes: np.ndarray, state: Tensor) -> np.nda
         some = lanes[at : at + LANES]
         nuisance = problem.nuisances.none()[None].expand(len(some), -1)
         predicted = problem.predict(some, state[None].expand(len(some), -1, -1), nuisance)
-        chi2 = ((problem.windows.value - predicted) * problem.weight).square().sum(3)
+        chi2 = problem.weighed(problem.windows.value - predicted).square().sum(3)
         most = BAD * chi2.median(1, keepdim=True).values
         result.append(chi2.minimum(most).sum(1).numpy())
     costs = np.concatenate(result)

@@ -157,10 +157,10 @@ def search_states(
             exact = part.predict(theta[rows.numpy()], some.trial, nuisance[rows])
             predicted += exact - predicted[0]
             predicted[0] = exact
-        residual = ((part.windows.value - predicted[0]) * part.weight).flatten(2)
+        residual = part.weighed(part.windows.value - predicted[0]).flatten(2)
         if fresh:
             differences = torch.tensor(nudge, dtype=torch.float64)[:, None, None, None, None]
-            slopes = (predicted[1:] - predicted[0]) / differences * part.weight
+            slopes = part.weighed((predicted[1:] - predicted[0]) / differences)
             some.slopes = slopes.flatten(3).permute(1, 2, 0, 3)
         some.judge(residual, tolerance)
         some.propose()

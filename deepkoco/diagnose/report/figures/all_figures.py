@@ -67,7 +67,7 @@ def replay(diagnosis: Diagnosis, details: Details, layout: Layout) -> Picture:
     figure = Figure(figsize=(layout.width, 4.2 if layout.columns > 1 else 4.8))
     upper, lower = figure.subplots(2, len(chosen), sharex="col", squeeze=False, height_ratios=[2.0, 1.0])
     channel = details.channels[0]
-    sd, errors = windows.noise[0].sd, {name: fit.residual * windows.sample_sd for name, fit in fits.items()}
+    sd, errors = windows.noise[0].sd, {name: windows.errors(fit.residual) for name, fit in fits.items()}
     rows = []
     models = shown_models(diagnosis) if gain is None else held_out_models(diagnosis)
     for column, w in enumerate(chosen):
@@ -154,7 +154,7 @@ def before_after(diagnosis: Diagnosis, details: Details, layout: Layout) -> Pict
         "start_s": gain.replayed.t0,
     }
     for model in models:
-        square = (gain.fits[model].residual * gain.replayed.sample_sd)[:, 0].numpy() ** 2
+        square = gain.replayed.errors(gain.fits[model].residual)[:, 0].numpy() ** 2
         frame[model] = np.sqrt(square.sum(1) / valid.sum(1).clip(1))
     if gain.windows > MOST_BARS:
         for model in models:

@@ -66,7 +66,7 @@ def error_map(diagnosis: Diagnosis, details: Details, layout: Layout) -> Picture
 
 def _by_slot(fit: Fit, windows: Windows, channel: int, slots: int) -> np.ndarray:
     """Root mean square error (W, slots) in each slot of a window, in the channel's unit; NaN without samples."""
-    square = (fit.residual * windows.sample_sd)[:, channel].numpy() ** 2
+    square = windows.errors(fit.residual)[:, channel].numpy() ** 2
     valid = windows.valid[:, channel].numpy()
     which = np.clip((windows.t[:, channel].numpy() / windows.length * slots).astype(int), 0, slots - 1)
     result = np.full((len(windows), slots), np.nan)

@@ -1,0 +1,326 @@
+"""Whether the commands of a log are measured ones with noise, and what this noise does to a simulation of it.
+
+A current that a driver measured holds noise that no motor felt; a command that a loop wrote down acted as it is, with
+all the noise that its feedback put into it. The first samples after any instant tell which: whatever parameters or
+causes are wrong, a joint moves within so short a time as its state and a smooth load make it, and answers each jump of
+a command that acted.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from deepkoco.fit.data.noise import estimate_noise
+from deepkoco.fit.data.series import CommandSeries
+from deepkoco.fit.data.wander import Wander, compressed
+from deepkoco.fit.data.windows import HISTORY, WARM_UP, Windows
+from deepkoco.fit.fit import FitProblem
+from deepkoco.fit.fit_types import Fit, Trial
+from deepkoco.fit.solve.prior import Prior
+from deepkoco.fit.tangent import Tangent, simulated
+
+PIECES = (
+    96  # pieces of noise of a command in one window at most; each is the mean of some neighbouring commands
+)
+SHORT = (24, 48, 96, 192)  # samples in a row that tell whether commands have noise; the fewest that show it
+PER_POWER = 48  # of these, for each power of time of an unknown load within them
+PLENTY = 200.0  # information by which they show noise plainly, likewise
+SHOWS = 30.0  # information by which they show noise, as the mean fall of minus twice the log likelihood
+PLACES = 3  # of each window, from which so many samples are taken
+FEW = 0.3  # share of the places that may be such as nothing of the commands explains
+SAME = 1e-9  # relative size of a direction that others span
+EARLY = 1e-9  # by which a command may be before a span [s]
+SHARES = (
+    0.5,
+    0.7,
+    1.0,
+)  # of the variance that no smooth command has, as noise; one that acted as it is has none
+EVIDENCE = 10.0  # fall of minus twice the log likelihood from which a command is believed to have noise
+LEFT = 0.25  # noise variances of a typical sample that count as noise of the sensors
+MOST = 96  # pieces of noise that are told from it
+LANES = 2000  # windows in one batch of simulations
+
+
+def with_command_noise(
+    problem_of: Callable[[Windows], FitProblem], windows: Windows, values: Mapping[str, float], state: Tensor
+) -> Windows:
+    """Return windows with what noise of the commands does to their measurements, where these have noise.
+
+    Args:
+        problem_of: Gives the problem of such windows.
+        windows: The windows, with the noise of the sensors.
+        values: Parameters near those of the unit.
+        state: (W, S) initial states to begin with.
+
+    Returns:
+        The windows; the same ones where the motion answers the commands as logged, or does not tell.
+    """
+    most = noise_of_commands(windows)
+    if len(windows) == 0 or not any(most):
+        return windows
+    fit = _simulation(problem_of(windows), values, state)
+    if fit.diverged:
+        return windows
+    share = _share_of_noise(problem_of, windows, fit, most)
+    if share == 0.0:
+        return windows
+    return with_noise(problem_of, windows, fit, tuple(math.sqrt(share) * sd for sd in most))
+
+
+def with_noise(
+    problem_of: Callable[[Windows], FitProblem], windows: Windows, fit: Fit, sd: tuple[float, ...]
+) -> Windows:
+    """Return windows with what noise of the commands does to their measurements.
+
+    Args:
+        problem_of: Gives the problem of such windows.
+        windows: The windows, with the noise of the sensors.
+        fit: A simulation of them.
+        sd: Standard deviation of the noise of each command, in its unit.
+    """
+    moves = moves_by_noise(problem_of, windows, fit, sd)
+    weight = windows.valid.to(torch.float64) / windows.sample_sd
+    few, rest = compressed(moves, weight, LEFT, MOST)
+    noise = tuple(
+        n.with_simulated(variance) for n, variance in zip(windows.noise, rest.tolist(), strict=True)
+    )
+    return replace(windows, noise=noise, wander=Wander(sd, few))
+
+
+def with_noise_like(
+    problem_of: Callable[[Windows], FitProblem], windows: Windows, values: Mapping[str, float], like: Windows
+) -> Windows:
+    """Return windows with the noise of commands that others of the same recorder have, at some parameters."""
+    if like.wander is None or len(windows) == 0:
+        return windows
+    fit = _simulation(problem_of(windows), values, windows.state)
+    return windows if fit.diverged else with_noise(problem_of, windows, fit, like.wander.sd)
+
+
+def _simulation(problem: FitProblem, values: Mapping[str, float], state: Tensor) -> Fit:
+    found, _ = problem.fit_states(values, state)
+    return problem.fit([Trial("noise of the commands", (), Prior.empty(), values, found)], 1)[0]
+
+
+def noise_of_commands(windows: Windows) -> tuple[float, ...]:
+    """Standard deviation of the noise of each command at most, in its unit: what no smooth motion has of it."""
+    found = []
+    for index in range(windows.commands[0].value[:, None].reshape(len(windows.commands[0].t), -1).shape[1]):
+        parts = [
+            (len(c.t), estimate_noise(c.t, c.column(index), 0.0).sd)
+            for log, c in enumerate(windows.commands)
+            if (windows.log == log).any() and np.ptp(c.column(index)) > 0.0
+        ]
+        total = sum(n for n, _ in parts)
+        found.append(math.sqrt(sum(n * sd**2 for n, sd in parts) / total) if total else 0.0)
+    return tuple(found)
+
+
+def moves_by_noise(
+    problem_of: Callable[[Windows], FitProblem], windows: Windows, fit: Fit, sd: Sequence[float]
+) -> Tensor:
+    """Return the moves (W, N, M, P) of the measurements by one standard deviation of each piece of noise.
+
+    Commands before a window act through its initial state. Where there are many commands in it, neighbours share a
+    piece, of the standard deviation of their mean.
+
+    Args:
+        problem_of: Gives the problem of such windows.
+        windows: The windows.
+        fit: A simulation of them.
+        sd: Standard deviation of the noise of each command, in its unit.
+    """
+    first, last = _inside(windows, np.arange(len(windows)), windows.t0, windows.length)
+    return _moves(
+        problem_of, windows, fit, sd, np.arange(len(windows)), first, int((last - first).max())
+    ).flatten(-2)
+
+
+def _inside(
+    windows: Windows, rows: np.ndarray, begin: np.ndarray, length: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the number of the first command in each span [s] of some windows, and of the first one after it."""
+    found = [
+        np.searchsorted(windows.commands[windows.log[w]].t, [at - EARLY, at + length - EARLY])
+        for w, at in zip(rows, begin, strict=True)
+    ]
+    return tuple(np.array(found, dtype=int).reshape(-1, 2).T)  # type: ignore[return-value]
+
+
+def _moves(
+    problem_of: Callable[[Windows], FitProblem],
+    windows: Windows,
+    fit: Fit,
+    sd: Sequence[float],
+    rows: np.ndarray,
+    first: np.ndarray,
+    count: int,
+) -> Tensor:
+    """Return the moves (R, N, M, C, P) of the measurements of some windows by noise of each of C commands.
+
+    Args:
+        problem_of, windows, fit, sd: As for :func:`moves_by_noise`.
+        rows: (R,) windows.
+        first: (R,) number of the first command whose noise counts.
+        count: How many commands count.
+    """
+    exact, fit = problem_of(windows).as_fitted(fit)
+    windows, theta = exact.windows, np.array([[float(fit.values[n]) for n in exact.names]])
+    each = max(math.ceil(count / PIECES), 1)
+    pieces = max(math.ceil(count / each), 1)
+    own = exact.predict(theta, fit.state[None], exact.nuisances.none()[None])[0]
+    result = torch.zeros(len(rows), *windows.value.shape[1:], len(sd), pieces, dtype=torch.float64)
+    block = max(LANES // pieces, 1)
+    for index, size in enumerate(sd):
+        for begin in range(0, len(rows) if size > 0.0 else 0, block):
+            picked = np.arange(begin, min(begin + block, len(rows)))
+            of_window = np.repeat(rows[picked], pieces)
+            logs = windows.log[of_window]
+            places = (first[picked, None] + each * np.arange(pieces)).ravel()
+            commands = tuple(
+                _moved(windows, w, index, int(at), each, size / math.sqrt(each))
+                for w, at in zip(of_window, places, strict=True)
+            )
+            many = replace(
+                windows.take(of_window),
+                commands=commands,
+                log=np.arange(len(of_window)),
+                known=tuple(windows.known[log] for log in logs) if windows.known else (),
+                stamp_sd=tuple(windows.stamp_sd[log] for log in logs) if windows.stamp_sd else (),
+            )
+            problem, index_of = problem_of(many), torch.from_numpy(of_window)
+            shown = problem.predict(theta, fit.state[index_of][None], problem.nuisances.none()[None])[0]
+            moved = shown - own[index_of]
+            moved = torch.where(torch.isfinite(moved), moved, 0.0).unflatten(0, (len(picked), pieces))
+            result[picked, :, :, index] = moved.permute(0, 2, 3, 1)
+    return result
+
+
+def _moved(windows: Windows, w: int, index: int, first: int, count: int, by: float) -> CommandSeries:
+    """Return the commands that act in a window, with some of one command moved."""
+    command = windows.commands[windows.log[w]]
+    begin, end = windows.t0[w] - HISTORY - WARM_UP * windows.length, windows.t0[w] + windows.length
+    part = slice(max(int(np.searchsorted(command.t, begin)) - 1, 0), int(np.searchsorted(command.t, end)) + 1)
+    value = np.array(command.value[part], dtype=float)
+    column = value if value.ndim == 1 else value[:, index]
+    column[max(first - part.start, 0) : max(first - part.start + count, 0)] += by
+    return CommandSeries(command.t[part], value)
+
+
+def _share_of_noise(
+    problem_of: Callable[[Windows], FitProblem], windows: Windows, fit: Fit, most: Sequence[float]
+) -> float:
+    """Return the most likely share of the largest noise of the commands, as a variance; 0 where none is believed.
+
+    Args:
+        problem_of: Gives the problem of such windows.
+        windows: The windows.
+        fit: A fit of them.
+        most: Standard deviation of the largest noise of each command.
+    """
+    problem, size = problem_of(windows), fit.state.shape[1]
+    # Encoders show the motion itself, whatever filters a speed has passed.
+    shown = [c for c, s in enumerate(windows.shows) if s < size // 2 and bool(windows.valid[:, c].any())]
+    if not shown:
+        return 0.0
+    theta = np.array([float(fit.values[n]) for n in problem.names])
+    tangent = Tangent.at(problem, theta, np.zeros(0, dtype=int), fit.state)
+    states = tangent.slopes(simulated(problem, [tangent], fit.nuisance[None]), problem)  # (S, W, N, M)
+    asked = [s for s in SHORT if s <= int(windows.valid[:, shown].sum(-1).max())]
+    answers = partial(_short_answers, problem_of, windows, fit, most, shown, states)
+    # The longest stretches show the most: where they show nothing, shorter ones need not be asked.
+    if not asked or not _tells(found := answers(asked[-1])):
+        return 0.0
+    for short in asked[:-1]:
+        if _tells(shorter := answers(short), PLENTY):
+            found = shorter
+            break
+    if max(_gain(found, share) for share in SHARES) < EVIDENCE:
+        return 0.0
+    # Of noise of a share s, the mean power is 1 + s width. A model error is now larger and now smaller than that.
+    told = [float(((power - 1.0) * width).sum() / (width**2).sum()) for power, width in found]
+    share = float(np.median(told))
+    return min(share, 1.0) if share >= SHARES[0] else 0.0
+
+
+def _tells(answers: list[tuple[np.ndarray, np.ndarray]], least: float = SHOWS) -> bool:
+    return sum(float((width - np.log1p(width)).sum()) for _, width in answers) >= least
+
+
+def _gain(answers: list[tuple[np.ndarray, np.ndarray]], share: float) -> float:
+    """Return the fall of minus twice the log likelihood by noise, without the places that say most for it.
+
+    What happens in a few places, such as a push, is no noise of the commands.
+    """
+    each = [
+        float((power * share * width / (1.0 + share * width) - np.log1p(share * width)).sum())
+        for power, width in answers
+    ]
+    return sum(sorted(each)[: math.ceil((1.0 - FEW) * len(each))])
+
+
+def _short_answers(
+    problem_of: Callable[[Windows], FitProblem],
+    windows: Windows,
+    fit: Fit,
+    most: Sequence[float],
+    shown: list[int],
+    states: Tensor,
+    short: int,
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return for each place powers of residuals of some samples in a row along moves by noise, and of these moves.
+
+    What their state and a smooth load explain is taken out.
+
+    Args:
+        problem_of, windows, fit, most: As for :func:`_share_of_noise`.
+        shown: Channels that count.
+        states: (S, W, N, M) weighted moves by the initial states.
+        short: How many samples.
+    """
+    clock, counts = shown[0], windows.valid[:, shown].sum(-1).amin(1).numpy()
+    places = [
+        (w, int(at))
+        for w, n in enumerate(counts)
+        if n >= short
+        for at in np.unique(np.linspace(0, n - short, min(PLACES, n // short)).astype(int))
+    ]
+    if not places:
+        return []
+    rows, begin = np.array(places).T
+    t, weight = windows.t[:, clock].numpy(), problem_of(windows).weight
+    length = float(np.median(t[rows, begin + short - 1] - t[rows, begin]))
+    first, last = _inside(windows, rows, windows.t0[rows] + t[rows, begin], length)
+    moves = _moves(problem_of, windows, fit, most, rows, first, int((last - first).max()))
+    smooth = np.linspace(-1.0, 1.0, moves.shape[-1])[:, None] ** np.arange(max(short // PER_POWER, 1) + 1)
+    result = []
+    for k, (w, at) in enumerate(places):
+        part = slice(at, at + short)
+        moved = (
+            (moves[k] * weight[w][..., None, None])[shown][:, part]
+            .numpy()
+            .reshape(len(shown) * short, len(most), -1)
+        )
+        own = fit.residual[w][shown][:, part].numpy().ravel()
+        of_state = states[:, w][:, shown][:, :, part].flatten(1).numpy().T
+        basis = _basis_of(
+            np.concatenate([of_state, *(moved[:, c] @ smooth for c in range(len(most)))], axis=1)
+        )
+        left, moved = own - basis @ (basis.T @ own), moved.reshape(len(own), -1)
+        vectors, singular, _ = np.linalg.svd(moved - basis @ (basis.T @ moved), full_matrices=False)
+        result.append(((vectors.T @ left) ** 2, singular**2))
+    return result
+
+
+def _basis_of(columns: np.ndarray) -> np.ndarray:
+    """Return an orthonormal basis of what columns (n, c) span."""
+    size = np.linalg.norm(columns, axis=0)
+    vectors, singular, _ = np.linalg.svd(columns[:, size > 0.0] / size[size > 0.0], full_matrices=False)
+    return vectors[:, singular > SAME * singular.max(initial=SAME)]
