@@ -88,7 +88,7 @@ def as_engine_if_shown(
         # Late commands hide that an engine has them early.
         late = left.late(system, held)
         if late.less_than(held) and (late.per_sample <= NEAR or late.cost <= LATE * held.cost):
-            other, _ = closest(system, left.late, nearest, NOISE, late)
+            other, _ = closest(system, left.late, nearest, NOISE, late, left.noise)
             return law if other.engine is None else other
     return law
 

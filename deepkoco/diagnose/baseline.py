@@ -17,7 +17,7 @@ from deepkoco.fit.data.halves import halved
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import ITERATIONS, Fit, FitProblem, Trial
 from deepkoco.fit.simulate.push import Push
-from deepkoco.fit.solve.command_noise import with_command_noise
+from deepkoco.fit.solve.command_noise import with_command_noise, with_noise_like
 from deepkoco.fit.solve.dispersion import dispersion
 from deepkoco.fit.solve.fine_steps import MOST, STEP_ROUNDS, fine_steps, with_steps_cut
 from deepkoco.fit.solve.gauges import Gauge, scale_gauges
@@ -309,7 +309,11 @@ def first_refit(start: Baseline, windows: Windows) -> tuple[Windows, Fit]:
         return windows, first
     state = windows.state.clone()
     state[torch.from_numpy(chosen)] = first.state[::2]
-    noisy = with_command_noise(problem_of, windows, first.values, state)
+    if start.healthy is not None:
+        # The recorder is that of the healthy logs.
+        noisy = with_noise_like(problem_of, windows, first.values, start.healthy.windows)
+    else:
+        noisy = with_command_noise(problem_of, windows, first.values, state)
     if noisy is windows:
         return windows, first
     return noisy, on_half_windows(replace(start, values=first.values), noisy, names)

@@ -95,7 +95,7 @@ def diagnose(
     began = time.perf_counter()
     base = stretchable_if_asked(any_system(system), only)
     recordings, healthy, holdout = (
-        [with_lost_rows(with_held_values(log)) for log in read_logs(logs, base)]
+        [with_held_values(with_lost_rows(log)) for log in read_logs(logs, base)]
         for logs in (recordings, healthy, holdout)
     )
     plain = base.base if isinstance(base, ExtendedSystem) else base

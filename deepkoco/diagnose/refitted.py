@@ -117,7 +117,10 @@ def refit_to_logs(learned: Baseline, data: Data) -> Refitted:
     if held is not None:
         held = with_steps_cut(held, round(data.train.step / train.step))
     if held is not None and train.wander is not None:
+        # Its noise already contains what is not told from that of the sensors.
+        noise = held.noise
         held = with_noise_like(partial(FitProblem, start.system), held, reference.values, train)
+        held = replace(held, noise=noise)
     if held is not None and train.doubt is not None:
         # Whether something else happens in a held-out window is not known, but how well its channels are simulated is.
         held = replace(held, doubt=train.doubt.amin(0).expand(len(held), -1).clone())

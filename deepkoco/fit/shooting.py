@@ -67,7 +67,7 @@ class ShootingProblem:
         self.high = np.array([declared[n].high for n in self.names])
         self.scale = np.array([declared[n].prior_sd for n in self.names])
         self.weight = windows.valid.to(torch.float64) / windows.sample_sd
-        self.whitening = None if windows.wander is None else windows.wander.whitening(self.weight)
+        self.whitening = windows.whitening()
         self.zeros = EncoderZeros.of(system, len(windows.commands), zero_sd)
         self.nuisances = Nuisances(self.zeros, windows.varies)
         self._kept: dict[tuple[str, ...], ExtendedSystem] = {}

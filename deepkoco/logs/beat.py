@@ -38,6 +38,7 @@ BETTER = 0.2  # of the errors that a beat counted in rows leaves, below which th
 CONTINUES = 0.3  # correlation of a step with the next one, from which they are samples of a smooth motion
 FEW_ROWS = 4.5  # per beat, up to which steps that do not continue each other are those of a controller
 LEVELS = 0.5  # of the steps that lead to a value of their own, likewise; test signals have few values
+MANY_ROWS = 20.0  # per change, from which no search is made: a change is late by a small share of its beat
 NARROW = 0.6  # of a row, within which the phase of the beat must be known
 SLACK = 0.01  # share of the changes by which phases near the best one may explain fewer
 
@@ -105,7 +106,9 @@ def beat_of(t: np.ndarray, values: np.ndarray) -> Beat | None:
         values: (n, M) values in force at the rows.
     """
     motion = motion_of(values)
-    if motion is None or motion.by_row[0] <= MISSED * motion.count or not _of_a_controller(motion):
+    if motion is None or motion.usual > MANY_ROWS or motion.by_row[0] <= MISSED * motion.count:
+        return None
+    if not _of_a_controller(motion):
         return None
     shown = _Shown(t[motion.rows - 1], t[motion.rows], motion.changed)
     row = float(np.median(shown.end - shown.begin))
@@ -124,6 +127,8 @@ def motion_of(values: np.ndarray) -> Motion | None:
 
     A value that moves by less than its rounding stands for some rows, whatever its beat.
     """
+    if not np.isfinite(values).all():
+        return None
     grid = np.array([quantum_of(column) for column in values.T])
     step = np.abs(np.diff(values, axis=0))
     changed = np.append(False, (step > 0.0).any(1))
@@ -224,11 +229,15 @@ def _search(shown: _Shown, row: float) -> _Match | None:
     """Return the beat that explains the most rows; None where none explains most of the first of them."""
     spans = shown.end - shown.begin
     mean = float(spans.sum()) / int(shown.changed.sum())
-    whole = float(shown.end[-1] - shown.begin[0])
+    # The search begins where changes follow each other without a rest.
+    at = shown.end[shown.changed]
+    first = int(np.argmin(at[FIRST:] - at[:-FIRST]))
+    middle = 0.5 * float(at[first] + at[first + FIRST])
+    whole = 2.0 * max(middle - float(shown.begin[0]), float(shown.end[-1]) - middle)
     length = min(FIRST * mean, whole)
     periods = np.arange(SHORTEST * mean, LONGEST * mean, DRIFT * row * SHORTEST * mean / length)
     while True:
-        inside = shown.end <= shown.begin[0] + length
+        inside = np.abs(0.5 * (shown.begin + shown.end) - middle) <= 0.5 * length
         part = _Shown(*(each[inside] for each in shown))
         found = sorted((_match(part, float(p), row) for p in periods), key=lambda m: (m.errors, -m.width))[
             :TOP
@@ -251,7 +260,9 @@ def _in_the_middle(shown: _Shown, found: list[_Match], row: float) -> _Match:
     good = [m for m in found if m.errors <= most]
     period = np.average([m.period for m in good], weights=[m.width for m in good])
     return min(
-        _match(shown, float(period), row), *good, key=lambda m: (m.errors > most, abs(m.period - period))
+        _match(shown, float(period), row, FINE_BINS),
+        *good,
+        key=lambda m: (m.errors > most, abs(m.period - period)),
     )
 
 

@@ -146,7 +146,7 @@ def _joined(a: Windows, b: Windows) -> Windows:
         a,
         doubt=both("doubt"),
         way=both("way"),
-        wander=None if a.wander is None or b.wander is None else joined(a.wander, b.wander),
+        wander=None if a.wander is None else joined(a.wander, b.wander or a.wander.none(b.value)),
         log=np.concatenate([a.log, b.log]),
         t0=np.concatenate([a.t0, b.t0]),
         t=torch.cat([a.t, b.t]),

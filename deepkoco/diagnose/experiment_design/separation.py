@@ -142,14 +142,14 @@ def _columns(
     lanes = np.concatenate([tangent.theta, dosed])
     states = torch.cat([tangent.state, windows.state[None].repeat(len(flat), 1, 1)])
     predicted = problem.predict(lanes, states, problem.zeros.none()[None].repeat(len(lanes), 1))
-    change = ((predicted - predicted[0]) * problem.weight).flatten(2)
+    change = problem.weighed(predicted - predicted[0]).flatten(2)
     basis, _ = torch.linalg.qr(change[1 + len(columns) : fixed].permute(1, 2, 0))
     own = change[1 : 1 + len(columns)] / tangent.steps[: len(columns), None, None]
     zeros = []
     for channel in problem.zeros.channels:
         column = torch.zeros_like(problem.weight)
         column[:, channel] = problem.weight[:, channel]
-        zeros.append(column.flatten(1)[None])
+        zeros.append(problem.whitened(column).flatten(1)[None])
     parts, first, at = [], [], fixed
     for own_directions in directions:
         secant = change[at]

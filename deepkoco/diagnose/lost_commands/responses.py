@@ -88,7 +88,7 @@ def simulated(
         picked = list(range(begin, min(begin + block, len(windows))))
         rows = np.repeat(picked, [len(spans[w]) for w in picked])
         ticks = np.concatenate([spans[w] for w in picked])
-        many = windows.take(rows)
+        many = replace(windows, wander=None).take(rows)
         many = replace(
             many,
             commands=commands,
@@ -99,8 +99,11 @@ def simulated(
         wide = None if push is None else push[:, :, row]
         moved = predict(system, many, named, fit.state[row][None], wide)[0]
         size = torch.from_numpy(np.concatenate([sizes[windows.log[w]][spans[w]] for w in picked]))
-        change = problem.of_windows(row).weighed(moved - at[0][row]).flatten(1) / size[:, None]
-        for w, response in zip(picked, change.split([len(spans[w]) for w in picked]), strict=True):
+        count = [len(spans[w]) for w in picked]
+        change = (moved - at[0][row]) / size[:, None, None]
+        for w, own in zip(picked, change.split(count), strict=True):
+            # Whitened window by window: they share what noise of the commands does to it.
+            response = problem.of_windows(torch.tensor([w])).weighed(own[:, None]).flatten(1)
             is_there = windows.valid[w].flatten().numpy()
             yield Simulated(slopes[w].numpy()[is_there], response.mT.numpy()[is_there])
 

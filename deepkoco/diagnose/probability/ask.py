@@ -17,6 +17,7 @@ from deepkoco.diagnose.probability.shadow import probabilities
 from deepkoco.fit.data.windows import cut_windows, moving, window_length
 from deepkoco.fit.fit import FitProblem
 from deepkoco.fit.threads import one_thread
+from deepkoco.logs.held_values import with_held_values
 from deepkoco.logs.read_logs import Logs, read_logs
 from deepkoco.logs.recording import LogError
 from deepkoco.systems import ExtendedSystem, System, any_system
@@ -47,7 +48,7 @@ def evidence_of(
     plain = base.base if isinstance(base, ExtendedSystem) else base
     length = window_length(base) if window is None else window
     with one_thread():
-        logs, every = read_logs(recordings, base), catalogue(plain)
+        logs, every = [with_held_values(log) for log in read_logs(recordings, base)], catalogue(plain)
         shown = shown_causes(every, measured_channels(logs))
         causes = shown if only is None else causes_named(every, only, plain.name)
         data = cut_data(logs, (), base, length)
@@ -59,7 +60,7 @@ def evidence_of(
             start = with_gauges_fixed(baseline_from(base, data.train), data.train)
             unit = None
         else:
-            told = _healthy(read_logs(healthy, base), base, length)
+            told = _healthy([with_held_values(log) for log in read_logs(healthy, base)], base, length)
             start, unit = told.before, learned_unit(told, causes)
         windows, reference = refit_sharply(start, data.train)
         problem = FitProblem(start.system, windows)

@@ -117,7 +117,8 @@ def verdict_of(
             excess = before.chi2 - start.floor * train.samples
             share = max(share, (before.cost - after.cost) / max(excess + strayed, 1e-12))
         worth = 1.0 if gain is None else gain.reduction
-        enough = max(most, MIN_EXPLAINED_FLEXIBLE) if only_flexible(found) else most
+        # Of what happens once, no held-out window tells whether it is true.
+        enough = most if lasting and not only_flexible(found) else max(most, MIN_EXPLAINED_FLEXIBLE)
         if share < enough:
             return Ruling("unknown", _too_little(found, share, enough, start.healthy is not None))
         reduced = 0.0 if white else MIN_REDUCTION

@@ -64,7 +64,7 @@ class Wander:
 
     sd: tuple[float, ...]
     moves: Tensor
-    _made: dict[bytes, Whitening] = field(default_factory=dict, repr=False)
+    _made: dict[bytes, Whitening] = field(default_factory=dict, init=False, repr=False)
 
     def whitening(self, weight: Tensor) -> Whitening:
         """Return the whitening under weights (W, N, M), in one over the noise of the sensors."""
@@ -87,6 +87,10 @@ class Wander:
     def take(self, index: Tensor) -> Wander:
         """Select windows."""
         return Wander(self.sd, self.moves[index])
+
+    def none(self, value: Tensor) -> Wander:
+        """Return no moves of measurements (W, N, M)."""
+        return Wander(self.sd, torch.zeros(*value.shape, 1, dtype=torch.float64))
 
     def times(self, factor: float) -> Wander:
         """Return noise that is larger by a factor."""

@@ -123,7 +123,8 @@ class Windows:
         """How residuals in noise standard deviations are whitened; None where they are not."""
         if self.wander is None:
             return None
-        return self.wander.whitening(self.valid.to(torch.float64) / self.sample_sd)
+        # A doubt about a window multiplies this noise, too.
+        return self.wander.whitening(self.valid.to(torch.float64) / replace(self, doubt=None).sample_sd)
 
     def errors(self, residual: Tensor) -> Tensor:
         """Return measured minus simulated values (W, N, M) in the channels' units, from the residuals of a fit."""

@@ -34,6 +34,9 @@ PER_POWER = 48  # of these, for each power of time of an unknown load within the
 PLENTY = 200.0  # information by which they show noise plainly, likewise
 SHOWS = 30.0  # information by which they show noise, as the mean fall of minus twice the log likelihood
 PLACES = 3  # of each window, from which so many samples are taken
+MOST_PLACES = 60  # in all
+LARGEST = 1 << 27  # moves by pieces of noise that are kept at once
+FEWEST = 16  # pieces of a command in one window, however many windows there are
 FEW = 0.3  # share of the places that may be such as nothing of the commands explains
 SAME = 1e-9  # relative size of a direction that others span
 EARLY = 1e-9  # by which a command may be before a span [s]
@@ -114,13 +117,21 @@ def noise_of_commands(windows: Windows) -> tuple[float, ...]:
     found = []
     for index in range(windows.commands[0].value[:, None].reshape(len(windows.commands[0].t), -1).shape[1]):
         parts = [
-            (len(c.t), estimate_noise(c.t, c.column(index), 0.0).sd)
+            (len(c.t), _noise_of(c, index))
             for log, c in enumerate(windows.commands)
             if (windows.log == log).any() and np.ptp(c.column(index)) > 0.0
         ]
         total = sum(n for n, _ in parts)
         found.append(math.sqrt(sum(n * sd**2 for n, sd in parts) / total) if total else 0.0)
     return tuple(found)
+
+
+def _noise_of(command: CommandSeries, index: int) -> float:
+    """Standard deviation of the noise of a command, as independent noise of each of its rows that does the same."""
+    value = command.column(index)
+    changes = np.append(0, np.flatnonzero(np.diff(value) != 0.0) + 1)
+    held = max(float(np.median(np.diff(changes))), 1.0) if len(changes) > 1 else 1.0
+    return estimate_noise(command.t[changes], value[changes], 0.0).sd * math.sqrt(held)
 
 
 def moves_by_noise(
@@ -173,20 +184,23 @@ def _moves(
     """
     exact, fit = problem_of(windows).as_fitted(fit)
     windows, theta = exact.windows, np.array([[float(fit.values[n]) for n in exact.names]])
-    each = max(math.ceil(count / PIECES), 1)
+    # Long logs have many windows, and coarser pieces keep all of them in memory.
+    most = min(max(LARGEST // max(len(rows) * windows.value[0].numel() * len(sd), 1), FEWEST), PIECES)
+    each = max(math.ceil(count / most), 1)
     pieces = max(math.ceil(count / each), 1)
-    own = exact.predict(theta, fit.state[None], exact.nuisances.none()[None])[0]
     result = torch.zeros(len(rows), *windows.value.shape[1:], len(sd), pieces, dtype=torch.float64)
     block = max(LANES // pieces, 1)
     for index, size in enumerate(sd):
         for begin in range(0, len(rows) if size > 0.0 else 0, block):
             picked = np.arange(begin, min(begin + block, len(rows)))
-            of_window = np.repeat(rows[picked], pieces)
+            # The first of each window is the simulation that is moved, from the same commands.
+            places = np.concatenate([first[picked, None], first[picked, None] + each * np.arange(pieces)], 1)
+            sizes = np.append(0.0, np.full(pieces, size / math.sqrt(each)))
+            of_window = np.repeat(rows[picked], pieces + 1)
             logs = windows.log[of_window]
-            places = (first[picked, None] + each * np.arange(pieces)).ravel()
             commands = tuple(
-                _moved(windows, w, index, int(at), each, size / math.sqrt(each))
-                for w, at in zip(of_window, places, strict=True)
+                _moved(windows, w, index, int(at), each, float(by))
+                for w, at, by in zip(of_window, places.ravel(), np.tile(sizes, len(picked)), strict=True)
             )
             many = replace(
                 windows.take(of_window),
@@ -197,8 +211,9 @@ def _moves(
             )
             problem, index_of = problem_of(many), torch.from_numpy(of_window)
             shown = problem.predict(theta, fit.state[index_of][None], problem.nuisances.none()[None])[0]
-            moved = shown - own[index_of]
-            moved = torch.where(torch.isfinite(moved), moved, 0.0).unflatten(0, (len(picked), pieces))
+            shown = shown.unflatten(0, (len(picked), pieces + 1))
+            moved = shown[:, 1:] - shown[:, :1]
+            moved = torch.where(torch.isfinite(moved), moved, 0.0)
             result[picked, :, :, index] = moved.permute(0, 2, 3, 1)
     return result
 
@@ -228,6 +243,8 @@ def _share_of_noise(
     problem, size = problem_of(windows), fit.state.shape[1]
     # Encoders show the motion itself, whatever filters a speed has passed.
     shown = [c for c, s in enumerate(windows.shows) if s < size // 2 and bool(windows.valid[:, c].any())]
+    # A stretch of samples in a row is one of time, too.
+    shown = [c for c in shown if torch.equal(windows.t[:, c], windows.t[:, shown[0]])]
     if not shown:
         return 0.0
     theta = np.array([float(fit.values[n]) for n in problem.names])
@@ -238,9 +255,10 @@ def _share_of_noise(
     # The longest stretches show the most: where they show nothing, shorter ones need not be asked.
     if not asked or not _tells(found := answers(asked[-1])):
         return 0.0
+    found = [own for own in found if own[1].any()]
     for short in asked[:-1]:
         if _tells(shorter := answers(short), PLENTY):
-            found = shorter
+            found = [own for own in shorter if own[1].any()]
             break
     if max(_gain(found, share) for share in SHARES) < EVIDENCE:
         return 0.0
@@ -294,6 +312,8 @@ def _short_answers(
     ]
     if not places:
         return []
+    some = np.unique(np.linspace(0, len(places) - 1, min(MOST_PLACES, len(places))).astype(int))
+    places = [places[k] for k in some]
     rows, begin = np.array(places).T
     t, weight = windows.t[:, clock].numpy(), problem_of(windows).weight
     length = float(np.median(t[rows, begin + short - 1] - t[rows, begin]))

@@ -77,9 +77,14 @@ def with_sharp_noise(windows: Windows, fit: Fit) -> Windows:
     sharper = []
     for c, given in enumerate(noise):
         sd = max(min(given.sd, float(np.sqrt(variance[c]))), float(least[c]), 1e-12)
-        sharper.append(given._replace(sd=sd) if share[:, c].sum() > 0.0 else given)
+        sharper.append(_of_size(given, sd) if share[:, c].sum() > 0.0 else given)
     noise = _no_finer_than_a_simulation(windows, sharper)
     return replace(windows, noise=noise, stamp_sd=tuple(stamps))
+
+
+def _of_size(given: Noise, sd: float) -> Noise:
+    """Return noise of another size, of which no more is simulated than before."""
+    return given._replace(sd=sd, simulated_sd=min(given.simulated_sd, sd))
 
 
 def _no_finer_than_a_simulation(windows: Windows, noise: Sequence[Noise]) -> tuple[Noise, ...]:
