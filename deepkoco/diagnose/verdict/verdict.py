@@ -93,8 +93,9 @@ def verdict_of(
             "unknown",
             f"Nearly any difference can be fitted with {_told(found)}, and more than noise is left.",
         )
-    # Neither do they repeat lost commands, but they still show what lasts beside a push.
-    beside = gain if found.lost is None and not lasting else None
+    # Neither do they repeat lost commands, but those that no push touches still show what lasts beside it.
+    only_pushes = all(c.effect == "event" for c in causes)
+    beside = gain if found.lost is None and only_pushes else None
     if beside is not None:
         unseen = beside.replayed
         left = left or beside.fits["extended"].chi2 / unseen.samples > start.most_noise(unseen)
@@ -117,7 +118,7 @@ def verdict_of(
             excess = before.chi2 - start.floor * train.samples
             share = max(share, (before.cost - after.cost) / max(excess + strayed, 1e-12))
         worth = 1.0 if gain is None else gain.reduction
-        # Of what happens once, no held-out window tells whether it is true.
+        # Held-out windows do not tell whether what happens once is true, so it must explain more.
         enough = most if lasting and not only_flexible(found) else max(most, MIN_EXPLAINED_FLEXIBLE)
         if share < enough:
             return Ruling("unknown", _too_little(found, share, enough, start.healthy is not None))
