@@ -128,12 +128,20 @@ def test_parameters_of_a_log_with_noisy_commands_are_sharper_and_as_honest():
     torch.testing.assert_close(problem.weighed(raw), fit.residual)
 
 
-@pytest.mark.parametrize("changed", [{}, {"gravity_torque": 0.7}])
-def test_commands_that_acted_as_logged_have_no_noise(changed):
-    # Feedback put noise into them, and the motor felt it; the model may be wrong, too.
-    recording = log(**changed)
-    windows = asked(recording)
-    assert windows.wander is None
+@pytest.mark.parametrize("share", [1.0, 0.98])
+def test_noise_that_the_motor_felt_is_none_of_the_log(share):
+    # The unit answered every jump of its command; the model may be wrong, too.
+    start, windows = windows_of(measured(log()))
+    problem_of = partial(FitProblem, start.system)
+    problem, values = problem_of(windows), start.values
+    theta = np.array([[float(values[n]) for n in problem.names]])
+    shown = problem.predict(theta, windows.state[None], problem.nuisances.none()[None])[0]
+    rng = torch.Generator().manual_seed(1)
+    noise = windows.sample_sd * torch.randn(shown.shape, dtype=torch.float64, generator=rng)
+    felt = windows.with_value((shown + noise) * windows.valid)
+    given = {**values, "gravity_torque": share * values["gravity_torque"]}
+    assert noise_of_commands(felt)[0] > 0.5 * NOISE
+    assert with_command_noise(problem_of, felt, given, windows.state).wander is None
 
 
 def test_commands_without_any_noise_are_not_asked():

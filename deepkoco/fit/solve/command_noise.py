@@ -26,9 +26,7 @@ from deepkoco.fit.fit_types import Fit, Trial
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.tangent import Tangent, simulated
 
-PIECES = (
-    96  # pieces of noise of a command in one window at most; each is the mean of some neighbouring commands
-)
+PIECES = 96  # of noise of a command in one window at most; each is the mean of some neighbouring commands
 SHORT = (24, 48, 96, 192)  # samples in a row that tell whether commands have noise; the fewest that show it
 PER_POWER = 48  # of these, for each power of time of an unknown load within them
 PLENTY = 200.0  # information by which they show noise plainly, likewise
@@ -40,11 +38,8 @@ FEWEST = 16  # pieces of a command in one window, however many windows there are
 FEW = 0.3  # share of the places that may be such as nothing of the commands explains
 SAME = 1e-9  # relative size of a direction that others span
 EARLY = 1e-9  # by which a command may be before a span [s]
-SHARES = (
-    0.5,
-    0.7,
-    1.0,
-)  # of the variance that no smooth command has, as noise; one that acted as it is has none
+# Of the variance that no smooth command has, as noise; a command that acted as it is has none.
+SHARES = (0.5, 0.7, 1.0)
 EVIDENCE = 10.0  # fall of minus twice the log likelihood from which a command is believed to have noise
 LEFT = 0.25  # noise variances of a typical sample that count as noise of the sensors
 MOST = 96  # pieces of noise that are told from it
@@ -162,7 +157,8 @@ def _inside(
         np.searchsorted(windows.commands[windows.log[w]].t, [at - EARLY, at + length - EARLY])
         for w, at in zip(rows, begin, strict=True)
     ]
-    return tuple(np.array(found, dtype=int).reshape(-1, 2).T)  # type: ignore[return-value]
+    first, last = np.array(found, dtype=int).reshape(-1, 2).T
+    return first, last
 
 
 def _moves(
