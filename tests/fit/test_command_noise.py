@@ -128,7 +128,7 @@ def test_parameters_of_a_log_with_noisy_commands_are_sharper_and_as_honest():
     torch.testing.assert_close(problem.weighed(raw), fit.residual)
 
 
-@pytest.mark.parametrize("share", [1.0, 0.98])
+@pytest.mark.parametrize("share", [1.0, 0.98, 0.95, 0.9])
 def test_noise_that_the_motor_felt_is_none_of_the_log(share):
     # The unit answered every jump of its command; the model may be wrong, too.
     start, windows = windows_of(measured(log()))
@@ -142,6 +142,15 @@ def test_noise_that_the_motor_felt_is_none_of_the_log(share):
     given = {**values, "gravity_torque": share * values["gravity_torque"]}
     assert noise_of_commands(felt)[0] > 0.5 * NOISE
     assert with_command_noise(problem_of, felt, given, windows.state).wander is None
+
+
+@pytest.mark.parametrize("share", [1.0, 0.95, 0.9])
+def test_noise_that_no_motor_felt_is_found_beside_a_wrong_model(share):
+    start, windows = windows_of(measured(log()))
+    given = {**start.values, "gravity_torque": share * start.values["gravity_torque"]}
+    found = with_command_noise(partial(FitProblem, start.system), windows, given, windows.state)
+    assert found.wander is not None
+    assert found.wander.sd[0] == pytest.approx(NOISE, rel=0.3)
 
 
 def test_commands_without_any_noise_are_not_asked():

@@ -11,7 +11,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -41,9 +42,30 @@ EARLY = 1e-9  # by which a command may be before a span [s]
 # Of the variance that no smooth command has, as noise; a command that acted as it is has none.
 SHARES = (0.5, 0.7, 1.0)
 EVIDENCE = 10.0  # fall of minus twice the log likelihood from which a command is believed to have noise
+FELT = 4.0  # rise of it from which the motor has felt the roughness of its command
+WIDER = 1.5  # step between the numbers of slow waves of a command, of which one is kept out of its roughness
 LEFT = 0.25  # noise variances of a typical sample that count as noise of the sensors
 MOST = 96  # pieces of noise that are told from it
 LANES = 2000  # windows in one batch of simulations
+
+
+class Answer(NamedTuple):
+    """What some samples in a row say of noise of the commands.
+
+    Attributes:
+        power: (K,) squared residuals along moves by noise, in noise variances of the sensors.
+        width: (K,) variances of them by the largest noise.
+        along: Residuals along what the roughness of the logged commands would have done; its mean is minus the share
+            of noise in it, times ``whole``.
+        whole: Mean of what all of the roughness as noise makes of that, with the sign turned.
+        spread: Variance of it.
+    """
+
+    power: np.ndarray
+    width: np.ndarray
+    along: float
+    whole: float
+    spread: float
 
 
 def with_command_noise(
@@ -251,33 +273,56 @@ def _share_of_noise(
     # The longest stretches show the most: where they show nothing, shorter ones need not be asked.
     if not asked or not _tells(found := answers(asked[-1])):
         return 0.0
-    found = [own for own in found if own[1].any()]
+    seen = [found]
     for short in asked[:-1]:
-        if _tells(shorter := answers(short), PLENTY):
-            found = [own for own in shorter if own[1].any()]
+        seen.append(answers(short))
+        if _tells(seen[-1], PLENTY):
+            found = seen[-1]
             break
+    found = [own for own in found if own.width.any()]
     if max(_gain(found, share) for share in SHARES) < EVIDENCE:
         return 0.0
     # Of noise of a share s, the mean power is 1 + s width. A model error is now larger and now smaller than that.
-    told = [float(((power - 1.0) * width).sum() / (width**2).sum()) for power, width in found]
-    share = float(np.median(told))
-    return min(share, 1.0) if share >= SHARES[0] else 0.0
+    told = [float(((own.power - 1.0) * own.width).sum() / (own.width**2).sum()) for own in found]
+    share = min(float(np.median(told)), 1.0)
+    return share if share >= SHARES[0] and not _felt(seen, share) else 0.0
 
 
-def _tells(answers: list[tuple[np.ndarray, np.ndarray]], least: float = SHOWS) -> bool:
-    return sum(float((width - np.log1p(width)).sum()) for _, width in answers) >= least
+def _tells(answers: list[Answer], least: float = SHOWS) -> bool:
+    return sum(float((own.width - np.log1p(own.width)).sum()) for own in answers) >= least
 
 
-def _gain(answers: list[tuple[np.ndarray, np.ndarray]], share: float) -> float:
+def _gain(answers: list[Answer], share: float) -> float:
     """Return the fall of minus twice the log likelihood by noise, without the places that say most for it.
 
     What happens in a few places, such as a push, is no noise of the commands.
     """
     each = [
-        float((power * share * width / (1.0 + share * width) - np.log1p(share * width)).sum())
-        for power, width in answers
+        float(
+            (own.power * share * own.width / (1.0 + share * own.width) - np.log1p(share * own.width)).sum()
+        )
+        for own in answers
     ]
     return sum(sorted(each)[: math.ceil((1.0 - FEW) * len(each))])
+
+
+def _felt(seen: list[list[Answer]], share: float) -> bool:
+    """Return whether the motion has answered the roughness of its commands, rather than a share of it being noise.
+
+    A wrong model leaves large residuals, too, but none that go with the roughness, whose every jump the log holds.
+
+    Args:
+        seen: Answers of stretches of different lengths; the one that knows most counts.
+        share: Share of the variance.
+    """
+    known = [
+        np.array([(own.along, own.whole, own.spread) for own in each if own.spread > 0.0]).reshape(-1, 3).T
+        for each in seen
+    ]
+    along, whole, spread = max(known, key=lambda each: float((each[1] ** 2 / each[2]).sum()))
+    information = float((whole**2 / spread).sum())
+    slope = float((along * whole / spread).sum()) / max(information, EARLY)
+    return ((slope + share) ** 2 - slope**2) * information > FELT
 
 
 def _short_answers(
@@ -288,10 +333,8 @@ def _short_answers(
     shown: list[int],
     states: Tensor,
     short: int,
-) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return for each place powers of residuals of some samples in a row along moves by noise, and of these moves.
-
-    What their state and a smooth load explain is taken out.
+) -> list[Answer]:
+    """Return what some samples in a row say at each place, without what their state and a smooth load explain.
 
     Args:
         problem_of, windows, fit, most: As for :func:`_share_of_noise`.
@@ -330,9 +373,62 @@ def _short_answers(
             np.concatenate([of_state, *(moved[:, c] @ smooth for c in range(len(most)))], axis=1)
         )
         left, moved = own - basis @ (basis.T @ own), moved.reshape(len(own), -1)
-        vectors, singular, _ = np.linalg.svd(moved - basis @ (basis.T @ moved), full_matrices=False)
-        result.append(((vectors.T @ left) ** 2, singular**2))
+        vectors, singular, right = np.linalg.svd(moved - basis @ (basis.T @ moved), full_matrices=False)
+        shown_by = right.reshape(len(right), len(most), -1)
+        amount = _amounts(windows, w, int(first[k]), int((last - first).max()), most, shown_by.shape[-1])
+        result.append(_answer(vectors.T @ left, singular, shown_by, amount))
     return result
+
+
+def _amounts(
+    windows: Windows, w: int, first: int, count: int, sd: Sequence[float], pieces: int
+) -> np.ndarray:
+    """Return the logged commands (C, P) of the pieces of a place, in the pieces' standard deviations."""
+    command, each = windows.commands[windows.log[w]], math.ceil(count / pieces)
+    found = np.zeros((len(sd), min(len(command.t) - first, count) // each))
+    for index, size in enumerate(sd):
+        if size > 0.0:
+            part = command.column(index)[first : first + each * found.shape[1]].reshape(-1, each)
+            found[index] = part.mean(1) * math.sqrt(each) / size
+    return found
+
+
+def _answer(left: np.ndarray, singular: np.ndarray, shown_by: np.ndarray, amount: np.ndarray) -> Answer:
+    """Return what residuals along moves by noise say.
+
+    Args:
+        left: (K,) residuals.
+        singular: (K,) sizes of the moves.
+        shown_by: (K, C, P) pieces of noise that make them.
+        amount: (C, P') logged commands of the first of these pieces, in standard deviations of the noise.
+    """
+    power, width = left**2, singular**2
+    weight = 1.0 / (1.0 + width)
+    pieces = amount.shape[1]
+    # Where a model error is larger than noise, the place says less.
+    errors = max(float((power * weight).mean()), 1.0)
+    best = Answer(power, width, 0.0, 0.0, 0.0)
+    slow, information = 1, 0.0
+    while slow < pieces - 2:
+        # A straight line and slow waves are the command itself.
+        rest = np.eye(pieces) - (basis := _slow_waves(pieces, slow)) @ basis.T
+        rough = shown_by[..., :pieces] @ rest
+        moved = singular * np.einsum("kcp,cp->k", rough, amount)
+        whole = float((weight * width) @ (rough**2).sum((1, 2)))
+        spread = max(float((weight * moved) @ moved), whole) * errors
+        if whole**2 > information * spread:
+            information = whole**2 / spread
+            best = best._replace(along=float((weight * moved) @ left), whole=whole, spread=spread)
+        slow = math.ceil(WIDER * slow)
+    return best
+
+
+@cache
+def _slow_waves(pieces: int, waves: int) -> np.ndarray:
+    """Return an orthonormal basis (P, waves + 2) of straight lines and the slowest cosine waves."""
+    place = (np.arange(pieces) + 0.5) / pieces
+    waves_of = np.cos(np.pi * place[:, None] * np.arange(1, waves + 1))
+    return np.linalg.qr(np.concatenate([np.ones((pieces, 1)), place[:, None], waves_of], 1))[0]
 
 
 def _basis_of(columns: np.ndarray) -> np.ndarray:
