@@ -16,6 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from scipy.optimize import brentq
+from scipy.stats import chi2
 from torch import Tensor
 
 from deepkoco.fit.data.noise import estimate_noise
@@ -42,6 +44,9 @@ EARLY = 1e-9  # by which a command may be before a span [s]
 # Of the variance that no smooth command has, as noise; a command that acted as it is has none.
 SHARES = (0.5, 0.7, 1.0)
 EVIDENCE = 10.0  # fall of minus twice the log likelihood from which a command is believed to have noise
+WIDE = 3.0  # variance by noise, of those of the sensors, from which a direction shows its size by itself
+DIRECTIONS = 4  # of a place that are so wide, from which they show whether noise has made all of them alike
+LARGER = 4.0  # times the largest noise of the logged commands, as a variance, that unlogged ones between rows may have
 FELT = 4.0  # rise of it from which the motor has felt the roughness of its command
 WIDER = 1.5  # step between the numbers of slow waves of a command, of which one is kept out of its roughness
 LEFT = 0.25  # noise variances of a typical sample that count as noise of the sensors
@@ -273,6 +278,9 @@ def _share_of_noise(
     # The longest stretches show the most: where they show nothing, shorter ones need not be asked.
     if not asked or not _tells(found := answers(asked[-1])):
         return 0.0
+    share = _share_of_directions(found)
+    if share is not None and share <= LARGER:
+        return share if share >= SHARES[0] else 0.0
     seen = [found]
     for short in asked[:-1]:
         seen.append(answers(short))
@@ -286,6 +294,24 @@ def _share_of_noise(
     told = [float(((own.power - 1.0) * own.width).sum() / (own.width**2).sum()) for own in found]
     share = min(float(np.median(told)), 1.0)
     return share if share >= SHARES[0] and not _felt(seen, share) else 0.0
+
+
+def _share_of_directions(answers: list[Answer]) -> float | None:
+    """Return the share of noise by which most directions are as wide as they are; None where too few are wide.
+
+    Noise makes each of them as wide as its own moves. A wrong model, which leaves more, leaves it in a few: those of
+    slow moves.
+    """
+    power, width = (np.concatenate([getattr(own, what) for own in answers]) for what in ("power", "width"))
+    wide = width >= WIDE
+    if wide.sum() < DIRECTIONS * len(answers):
+        return None
+    power, width = power[wide], width[wide]
+    typical = float(chi2.median(1))
+    if np.median(power) <= typical:
+        return 0.0
+    largest = float((power / width).max()) / typical
+    return float(brentq(lambda share: float(np.median(power / (1.0 + share * width))) - typical, 0.0, largest))
 
 
 def _tells(answers: list[Answer], least: float = SHOWS) -> bool:

@@ -102,6 +102,7 @@ WANTED = (
 )
 MEASURED = (
     "meas", "measured", "act", "actual", "fb", "feedback", "est", "state", "states", "filt", "ist", "istwert",
+    "present",
 )  # fmt: skip
 COUNTING = ("episode", "seq", "index", "frame", "row", "step", "run", "trial", "unnamed", "iteration")
 # Units at the end of a name.

@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 from deepkoco.logs.inspect.choice import Choice, Proposal
-from deepkoco.logs.inspect.joints.log_joints import role_of
+from deepkoco.logs.inspect.joints.log_joints import role_of, words_of
 from deepkoco.logs.units import parse_unit
 from deepkoco.systems import System
 
 OF_A_DRIVE = ("current", "voltage")
+MOTOR = "motor"
+NUMBER_OF = "a number of"  # of reasons
 LOADS = {"rad": "torque", "m": "force"}  # on a joint, by the unit of its position
 
 
@@ -18,7 +20,7 @@ def with_numbers_of_drives(system: System, proposal: Proposal) -> Proposal:
 
     A motor of a model file takes a number. Where its gear is its torque constant, that is its current. A load on its
     joint is what the gear makes of the number; so the torque of a motor that moves a slide is the number itself, and a
-    torque beside a hinge may be either. A goal of a speed is that of a motor's shaft behind the gear of a servo.
+    torque beside a hinge may be either, unless it is called that of a motor. A goal of a speed is that of a motor's shaft behind the gear of a servo.
 
     Args:
         system: The system.
@@ -43,6 +45,7 @@ def _as_number(choice: Choice, load: str | None) -> Choice:
     of_a_drive = (
         own.quantity in OF_A_DRIVE
         or (load is not None and own.quantity in LOADS.values() and own.quantity != load)
+        or (own.quantity == "torque" and choice.column is not None and MOTOR in words_of(choice.column.name))
         or (asked == "goal speed" and own.quantity == "angular velocity")
     )
     if choice.column is None or not number or not of_a_drive:
@@ -54,5 +57,5 @@ def _as_number(choice: Choice, load: str | None) -> Choice:
         stated=False,
         scale=choice.scale * factor,
         offset=choice.offset * factor,
-        reasons=(*choice.reasons, f"a number of {own.si}"),
+        reasons=(*choice.reasons, f"{NUMBER_OF} {own.si}"),
     )

@@ -17,20 +17,22 @@ import yaml
 from deepkoco.logs.formats.log_file import LogError
 from deepkoco.logs.formats.open_log import open_log
 from deepkoco.logs.inspect.choice import Choice, Proposal, mapping_of
+from deepkoco.logs.inspect.evidence import POSITIONS, SPEEDS
 from deepkoco.logs.inspect.fitting import Fitting, NoProposalError, propose
 from deepkoco.logs.inspect.joints.finding import JointFinding
-from deepkoco.logs.inspect.joints.log_joints import EFFORT, POSITION, SPEED, words_of
+from deepkoco.logs.inspect.joints.log_joints import EFFORT, EFFORTS, POSITION, SPEED, words_of
+from deepkoco.logs.inspect.joints.match import ITS_WORD, SAME_NAME
 from deepkoco.logs.inspect.joints.proposer import ONLY_EFFORT
 from deepkoco.logs.inspect.names import WANTED
-from deepkoco.logs.inspect.other_quantity import measures_another
+from deepkoco.logs.inspect.other_quantity import NUMBER_OF, measures_another
 from deepkoco.logs.inspect.survey import Survey, survey_log
 from deepkoco.logs.part import split_part
 from deepkoco.logs.runs import split_run
 from deepkoco.logs.sidecar import dump_sidecar
+from deepkoco.logs.units import parse_unit
 from deepkoco.systems import System
 
 MOST_LOGS = 40  # of those with the same columns that are compared
-SAME_NAME = "the same name"
 ONE_UNIT = (0.7, 1.4)  # slope of a position against its goal, from which both are in one unit
 # Times the limits of an actuator, within which its commands are in its unit; and those that only its load lets guess.
 WITHIN, ABOUT = 1.2, 10.0
@@ -106,14 +108,14 @@ def _doubt(survey: Survey, fitting: Fitting, system: System) -> str | None:
     joints = {finding.model: finding for finding in fitting.proposal.joints}
     if not joints:
         return _doubt_of_names(fitting)
-    others = fitting.proposal.unused(survey)
+    others = _may_drive(survey, fitting.proposal.unused(survey))
     for choice in fitting.proposal.choices:
         name, column = choice.channel.name, choice.column
         if column is None:
             if choice.channel.kind == "command" and choice.channel.default is None:
                 return f"no column is the command {name} for sure"
             continue
-        by_name = choice.sureness == "sure" and not {SAME_NAME, ONLY_EFFORT}.isdisjoint(choice.reasons)
+        by_name = choice.sureness == "sure" and any(map(_names_it, choice.reasons))
         if not (by_name or (choice.held and choice.channel.kind == "command")):
             return f"{name} is {choice.sureness}, but not by its name: {column.label}"
         if measures_another(choice):
@@ -123,6 +125,20 @@ def _doubt(survey: Survey, fitting: Fitting, system: System) -> str | None:
         if choice.channel.kind == "command" and (doubt := _doubt_of_command(choice, joints, system, others)):
             return doubt
     return fitting.doubt
+
+
+def _may_drive(survey: Survey, labels: Sequence[str]) -> list[str]:
+    """Those of some columns that may be what drives a joint: their units are not those of a motion."""
+    units = {c.label: c.hints.unit for c in survey.columns}
+    return [label for label in labels if (unit := units[label]) is None or not _of_motion(unit)]
+
+
+def _of_motion(unit: str) -> bool:
+    return parse_unit(unit).quantity in {*POSITIONS, *SPEEDS}
+
+
+def _names_it(reason: str) -> bool:
+    return reason in (SAME_NAME, ONLY_EFFORT) or ITS_WORD in reason
 
 
 def _doubt_of_names(fitting: Fitting) -> str | None:
@@ -171,7 +187,8 @@ def _doubt_of_command(
         tracking = None if finding is None else finding.tracking
         follows = tracking is not None and tracking.follows and ONE_UNIT[0] < tracking.slope < ONE_UNIT[1]
         return None if follows else f"{column.label} is no goal that its position follows in one unit"
-    if said & (POSITION | SPEED) or (said & set(WANTED) and not said & EFFORT):
+    effort = column.hints.unit is not None and parse_unit(column.hints.unit).quantity in EFFORTS
+    if not effort and (said & (POSITION | SPEED) or (said & set(WANTED) and not said & EFFORT)):
         return f"{column.label} may be a goal of a position or a speed, and {channel.name} is none"
     if choice.stated or choice.held:
         return None
@@ -217,6 +234,8 @@ def _may_be_measured(choice: Choice) -> bool:
 
 def _assumed_of(choice: Choice, label: str) -> str:
     size = abs(choice.scale)
+    if any(NUMBER_OF in reason for reason in choice.reasons) and size == 1.0:
+        return f"{label} is {choice.channel.name} before its gear"
     if choice.channel.unit == "1" and size != 1.0:
         return f"{label} times {size:.3g} is {choice.channel.name}"
     return f"{label} is in {choice.unit}" + (", as the equations ask" if choice.held else "")

@@ -8,6 +8,7 @@ from deepkoco.logs.by_name import wanted_names
 from deepkoco.logs.inspect.choice import Choice
 from deepkoco.logs.inspect.evidence import SPEEDS
 from deepkoco.logs.inspect.joints.log_joints import GOALS, LogJoint, role_in_name, role_of
+from deepkoco.logs.inspect.joints.match import SAME_NAME
 from deepkoco.logs.inspect.names import unit_suffix
 from deepkoco.logs.inspect.survey import ColumnSurvey, Survey
 from deepkoco.logs.units import parse_unit
@@ -94,7 +95,7 @@ def command_by_name(
     column = (exact or asked)[0]
     unit = column.hints.unit
     return Choice(
-        choice.channel, column, unit or choice.channel.unit, unit is not None, NAMED, ("the same name",)
+        choice.channel, column, unit or choice.channel.unit, unit is not None, NAMED, (SAME_NAME,)
     )
 
 
@@ -133,5 +134,5 @@ def speed_by_name(survey: Survey, choice: Choice, placed: set[int], system: Syst
         if column.usable and (exact or (role_of(column) == ("speed", label) and unit is not None)):
             unit = choice.channel.unit if unit is None else unit
             if parse_unit(unit).quantity == quantity:
-                found.append(Choice(choice.channel, column, unit, True, NAMED, ("the same name",)))
+                found.append(Choice(choice.channel, column, unit, True, NAMED, (SAME_NAME,)))
     return found[0] if len(found) == 1 else choice

@@ -12,7 +12,7 @@ from deepkoco.logs.inspect.survey import ColumnSurvey
 from deepkoco.logs.units import parse_unit
 
 GOAL = {*COMMANDED, *WANTED, "commands", "goals", "actions", "targets", "trajectory", "controls"}
-MEASURED = {"meas", "measured", "actual", "feedback", "observation", "state", "states", "ist", "istwert"}
+MEASURED = {"meas", "measured", "actual", "feedback", "observation", "state", "states", "ist", "istwert", "present"}
 # A short word for a length is as often a name: x, y and z of an axis, the hub of a wheel.
 POSITION = {*said_by("angle"), "angles", *(word for word in said_by("length") if len(word) > 3)}
 SPEED = {*said_by("angular velocity"), *(word for word in said_by("velocity") if len(word) > 2)}
@@ -240,9 +240,11 @@ def role_of(column: ColumnSurvey) -> tuple[str | None, str]:
     quantity = parse_unit(column.hints.unit).quantity
     symbol, _, rest = label.partition("_")
     words = words_of(column.name)
-    # `n_soll Lift [1/min]` is of the lift, and `m_left_torque [Nm]` of a joint m_left.
-    if rest and symbol in SYMBOLS.get(quantity, ()) and words[0] == symbol and words[1] in GOAL | MEASURED:
+    # `n_soll Lift [1/min]` and `i_q_X [A]` are of Lift and X, and `m_left_torque [Nm]` of a joint m_left.
+    if rest and symbol in SYMBOLS.get(quantity, ()) and words[0] == symbol and words[1] in _ROLE_WORDS:
         label = rest
+    if role in ("position", "speed") and quantity in EFFORTS:
+        role = "effort"
     if role != "goal":
         return role, label
     return {**dict.fromkeys(SPEEDS, "goal speed"), **dict.fromkeys(EFFORTS, "goal effort")}.get(

@@ -11,9 +11,11 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 SAME = 8.0  # evidence of the same name [nats]
+ITS_OWN = 6.0  # evidence of a word or a number that one joint has alone [nats]
 WORD = 5.0  # evidence of the same words, in proportion to their share [nats]
 ORDER = 1.5  # evidence of the same place in the order, if there are as many joints [nats]
 FEWER = 0.75  # times that of the number of a joint, if there are fewer
+SAME_NAME, ITS_WORD = "the same name", "is in the name"  # of reasons
 NOTHING = 0.5  # evidence of a joint without a partner [nats]
 _ALIKE = (
     {"pan", "rotation", "yaw", "base", "waist", "swivel", "turn", "abduction", "haa"},
@@ -63,9 +65,13 @@ def match_joints(
     if not ordered and (numbers := _from_the_base(log, len(model))) is not None:
         # A log that lacks joints mostly lacks those at the tip: fingers.
         places, ordered, order = numbers, True, FEWER * ORDER
+    own = _by_own_word(log, model)
     score = np.array(
         [
-            [_score(places[i], a, j, b, order if ordered else 0.0) for j, b in enumerate(model)]
+            [
+                _score(places[i], a, j, b, order if ordered else 0.0) + (ITS_OWN if own.get(i) == j else 0.0)
+                for j, b in enumerate(model)
+            ]
             for i, a in enumerate(log)
         ]
     )
@@ -90,10 +96,32 @@ def match_joints(
                 i,
                 j,
                 probability,
-                _reason(str(log[i]), str(model[j]), places[i] == j and ordered),
+                _reason(str(log[i]), str(model[j]), places[i] == j and ordered, own.get(i) == j),
             )
         )
     return found
+
+
+def _by_own_word(log: Sequence[str], model: Sequence[str]) -> dict[int, int]:
+    """Joints of a log whose words and numbers are all those of one joint of the model, and of no other: log -> model.
+
+    ``cart`` is the joint ``cart_slide``, and ``1`` the joint ``j1_base``. What all joints of the log share tells none.
+    """
+    parts = [set(_words_and_numbers(name)) for name in model]
+    of_log = [set(_words_and_numbers(name)) for name in log]
+    shared = set.intersection(*of_log) if len(of_log) > 1 else set()
+    found: dict[int, int] = {}
+    for i, words in enumerate(of_log):
+        said = words - shared
+        having = [j for j, words in enumerate(parts) if said and said <= words]
+        if len(having) == 1:
+            found[i] = having[0]
+    taken = list(found.values())
+    return {i: j for i, j in found.items() if taken.count(j) == 1}
+
+
+def _words_and_numbers(name: str) -> list[str]:
+    return [str(int(p)) if p.isdecimal() else p for p in re.findall(r"[a-z]+|\d+", _spaced(name)) if p != "joint"]
 
 
 def _places(log: Sequence[str]) -> list[int]:
@@ -154,20 +182,28 @@ def _spelling(a: str, b: str) -> float:
 
 
 def _parts(name: str) -> list[str]:
-    spaced = re.sub(r"([a-z])([A-Z])", r"\1_\2", name).lower()
     return [
-        p for p in re.split(r"[^a-z]+|(?<=[a-z])(?=\d)", spaced) if p and p not in ("joint", "motor", "pos")
+        p
+        for p in re.split(r"[^a-z]+|(?<=[a-z])(?=\d)", _spaced(name))
+        if p and p not in ("joint", "motor", "pos")
     ]
+
+
+def _spaced(name: str) -> str:
+    """A name in lower case, its words apart."""
+    return re.sub(r"([a-z])([A-Z])", r"\1_\2", name).lower()
 
 
 def _plain(name: str) -> str:
     return re.sub(r"[^a-z0-9]", "", name.lower())
 
 
-def _reason(log: str, model: str, placed: bool) -> str:
-    order = "the same place in the order" if placed else ""
+def _reason(log: str, model: str, placed: bool, own: bool) -> str:
     if _plain(log) == _plain(model):
-        return "the same name"
+        return SAME_NAME
+    if own:
+        return f'"{log}" {ITS_WORD} of "{model}"'
+    order = "the same place in the order" if placed else ""
     shared = _shared(_parts(log), _parts(model)) > 0.2 or _spelling(log, model) > 0.3
     named = f'"{log}" resembles "{model}"' if shared else ""
     return " and ".join(part for part in (named, order) if part) or "no other joint is left"

@@ -40,6 +40,7 @@ from deepkoco.logs.inspect.joints.proposed_joint import (
 )
 from deepkoco.logs.inspect.joints.scaling import Scaling, alike, position_scaling, speed_scaling
 from deepkoco.logs.inspect.joints.slow_samples import gravity_evidence
+from deepkoco.logs.inspect.joints.speed_by_values import add_speeds
 from deepkoco.logs.inspect.survey import ColumnSurvey, Survey
 from deepkoco.logs.units import parse_unit
 from deepkoco.systems import Channel, System
@@ -74,6 +75,7 @@ def propose_joints(surveys: Sequence[Survey], system: System) -> Proposal:
     matches = match_joints([joint.label for joint in found], system.joint_names, _apart(found, system))
     give_commands(called, {match.model: found[match.log] for match in matches}, system)
     _add_loose_goals(survey, found, system)
+    add_speeds(survey, found)
     joints = _scaled(surveys, system, found, matches)
     evidence = gravity_evidence(surveys, system, joints)
     findings = {joint.number: _finding(survey, system, joint, evidence) for joint in joints}
