@@ -61,16 +61,30 @@ def as_engine_if_shown(
         length: Of the windows [s].
         learned: Baseline from healthy logs, which have decided; None for none.
     """
-    if system.engine is not None or not system.engines:
-        return system  # a file says that it is of an engine, or there is none
-    if learned is not None:
+    if learned is not None and system.engine is None and system.engines:
         of_learned = learned.system
         own = system.with_engine(of_learned.engine, of_learned.engine_step)
         return system if own is None else own
+    return closest_of_logs(recordings, system, length)[0]
+
+
+def closest_of_logs(recordings: Sequence[Recording], system: S, length: float) -> tuple[S, Left | None]:
+    """Return the system as the engine of its file simulates it, or itself, and what it leaves of some windows.
+
+    Args:
+        recordings: Logs.
+        system: The system.
+        length: Of the windows [s].
+
+    Returns:
+        The one that follows the logs better; without what it leaves where nothing was asked.
+    """
+    if system.engine is not None or not system.engines:
+        return system, None  # a file says that it is of an engine, or there is none
     windows = cut_windows(recordings, system, length, estimate_channels(recordings, system))
     windows = windows.take(moving(windows)) if len(windows) else windows
     if len(windows) == 0:
-        return system
+        return system, None
     many = len(system.parameters) + windows.state.shape[1] >= MANY
     windows = windows.take(np.unique(np.linspace(0, len(windows) - 1, FEW if many else SOME).astype(int)))
     left, nearest = LeftOfLogs(windows), partial(nearest_own_step, windows)
@@ -81,16 +95,16 @@ def as_engine_if_shown(
             held = left(system)
         law, leaves = closest(system, left, nearest, held=held, noise=left.noise)
     except DivergedError:
-        return system
+        return system, None
     if not left.noise < leaves.per_sample <= FAR:
-        return law
+        return law, leaves
     with contextlib.suppress(DivergedError):
         # Late commands hide that an engine has them early.
         late = left.late(system, held)
         if late.less_than(held) and (late.per_sample <= NEAR or late.cost <= LATE * held.cost):
-            other, _ = closest(system, left.late, nearest, NOISE, late, left.noise)
-            return law if other.engine is None else other
-    return law
+            other, leaves_late = closest(system, left.late, nearest, NOISE, late, left.noise)
+            return (law, leaves) if other.engine is None else (other, leaves_late)
+    return law, leaves
 
 
 def closest(

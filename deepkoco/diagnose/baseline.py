@@ -91,6 +91,8 @@ class Baseline:
         roughness: Times the tolerances of causes that any unit has; see :mod:`deepkoco.diagnose.weighed`.
         narrowing: Factor by which its prior is narrower, as a variance, so that it counts as much as the residuals do;
             the correlation is not part of it.
+        rows_early: Share of a row by which the commands of its logs act before theirs; see
+            :mod:`deepkoco.diagnose.between_rows`.
     """
 
     system: ExtendedSystem
@@ -106,6 +108,7 @@ class Baseline:
     tempering: float = 1.0
     roughness: float = 1.0
     narrowing: float = 1.0
+    rows_early: float = 0.0
 
     @property
     def least_deflation(self) -> float:

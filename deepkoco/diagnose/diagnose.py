@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 
-from deepkoco.diagnose.as_engine import as_engine_if_shown
 from deepkoco.diagnose.baseline import (
     Baseline,
     BaselineError,
@@ -13,6 +12,7 @@ from deepkoco.diagnose.baseline import (
     check_learned,
     with_gauges_fixed,
 )
+from deepkoco.diagnose.between_rows import as_recorded
 from deepkoco.diagnose.causes import catalogue, causes_named, measured_channels, shown_causes
 from deepkoco.diagnose.data import MIN_TRAINING_WINDOWS, cut_data
 from deepkoco.diagnose.diagnosis import Diagnosis
@@ -116,7 +116,8 @@ def diagnose(
         if baseline is not None:
             check_learned(baseline, base)
         progress("asking which simulator the logs are of")
-        base = as_engine_if_shown(healthy or recordings, base, usual, baseline)
+        read = as_recorded(healthy or recordings, base, usual, baseline)
+        base, (recordings, healthy, holdout) = read.system, map(read.logs, (recordings, healthy, holdout))
         chosen = window is not None or baseline is not None
         length = usual if chosen else followed_length(recordings, base, healthy)
         if window is None and baseline is None:

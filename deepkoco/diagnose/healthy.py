@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from deepkoco.diagnose.as_engine import as_engine_if_shown
 from deepkoco.diagnose.baseline import (
     Baseline,
     BaselineError,
@@ -17,6 +16,7 @@ from deepkoco.diagnose.baseline import (
     refit_sharply,
     with_gauges_fixed,
 )
+from deepkoco.diagnose.between_rows import as_recorded
 from deepkoco.diagnose.causes import Cause, catalogue, is_changed, kind_of, measured_channels, shown_causes
 from deepkoco.diagnose.causes.timing import LOST_COMMANDS
 from deepkoco.diagnose.evidence.classes import equivalent
@@ -72,8 +72,9 @@ def learn_baseline(
         limit: Asked before each of them; it remembers what it refused. None allows all.
     """
     recordings = [with_held_values(log) for log in recordings]
-    system = as_engine_if_shown(recordings, system, length)
-    return learn_as_simulated(recordings, system, length, progress, extension, limit)
+    read = as_recorded(recordings, system, length)
+    learned = learn_as_simulated(read.logs(recordings), read.system, length, progress, extension, limit)
+    return replace(learned, rows_early=read.rows)
 
 
 @one_thread()

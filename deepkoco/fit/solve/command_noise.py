@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from scipy.optimize import brentq
+from scipy.optimize import root_scalar
 from scipy.stats import chi2
 from torch import Tensor
 
@@ -311,7 +311,11 @@ def _share_of_directions(answers: list[Answer]) -> float | None:
     if np.median(power) <= typical:
         return 0.0
     largest = float((power / width).max()) / typical
-    return float(brentq(lambda share: float(np.median(power / (1.0 + share * width))) - typical, 0.0, largest))
+
+    def beyond(share: float) -> float:
+        return float(np.median(power / (1.0 + share * width))) - typical
+
+    return float(root_scalar(beyond, bracket=(0.0, largest)).root)
 
 
 def _tells(answers: list[Answer], least: float = SHOWS) -> bool:
@@ -324,9 +328,7 @@ def _gain(answers: list[Answer], share: float) -> float:
     What happens in a few places, such as a push, is no noise of the commands.
     """
     each = [
-        float(
-            (own.power * share * own.width / (1.0 + share * own.width) - np.log1p(share * own.width)).sum()
-        )
+        float((own.power * share * own.width / (1.0 + share * own.width) - np.log1p(share * own.width)).sum())
         for own in answers
     ]
     return sum(sorted(each)[: math.ceil((1.0 - FEW) * len(each))])

@@ -20,7 +20,8 @@ def with_numbers_of_drives(system: System, proposal: Proposal) -> Proposal:
 
     A motor of a model file takes a number. Where its gear is its torque constant, that is its current. A load on its
     joint is what the gear makes of the number; so the torque of a motor that moves a slide is the number itself, and a
-    torque beside a hinge may be either, unless it is called that of a motor. A goal of a speed is that of a motor's shaft behind the gear of a servo.
+    torque beside a hinge may be either, unless it is called that of a motor. A goal of a speed is that of a motor's
+    shaft behind the gear of a servo.
 
     Args:
         system: The system.

@@ -94,9 +94,7 @@ def command_by_name(
         return choice
     column = (exact or asked)[0]
     unit = column.hints.unit
-    return Choice(
-        choice.channel, column, unit or choice.channel.unit, unit is not None, NAMED, (SAME_NAME,)
-    )
+    return Choice(choice.channel, column, unit or choice.channel.unit, unit is not None, NAMED, (SAME_NAME,))
 
 
 def _without_unit(column: ColumnSurvey, channel: Channel) -> str:

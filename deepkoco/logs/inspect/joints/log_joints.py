@@ -12,7 +12,18 @@ from deepkoco.logs.inspect.survey import ColumnSurvey
 from deepkoco.logs.units import parse_unit
 
 GOAL = {*COMMANDED, *WANTED, "commands", "goals", "actions", "targets", "trajectory", "controls"}
-MEASURED = {"meas", "measured", "actual", "feedback", "observation", "state", "states", "ist", "istwert", "present"}
+MEASURED = {
+    "meas",
+    "measured",
+    "actual",
+    "feedback",
+    "observation",
+    "state",
+    "states",
+    "ist",
+    "istwert",
+    "present",
+}
 # A short word for a length is as often a name: x, y and z of an axis, the hub of a wheel.
 POSITION = {*said_by("angle"), "angles", *(word for word in said_by("length") if len(word) > 3)}
 SPEED = {*said_by("angular velocity"), *(word for word in said_by("velocity") if len(word) > 2)}

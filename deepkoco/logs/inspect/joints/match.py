@@ -121,7 +121,9 @@ def _by_own_word(log: Sequence[str], model: Sequence[str]) -> dict[int, int]:
 
 
 def _words_and_numbers(name: str) -> list[str]:
-    return [str(int(p)) if p.isdecimal() else p for p in re.findall(r"[a-z]+|\d+", _spaced(name)) if p != "joint"]
+    return [
+        str(int(p)) if p.isdecimal() else p for p in re.findall(r"[a-z]+|\d+", _spaced(name)) if p != "joint"
+    ]
 
 
 def _places(log: Sequence[str]) -> list[int]:

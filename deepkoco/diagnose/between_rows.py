@@ -1,0 +1,146 @@
+"""Whether the rows of logs show the commands of a faster controller, which act around them and not from them on."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from deepkoco.diagnose.as_engine import as_engine_if_shown, closest_of_logs
+from deepkoco.diagnose.baseline import Baseline, baseline_from, from_shorter_windows, on_half_windows
+from deepkoco.diagnose.left_of_logs import NOISE
+from deepkoco.diagnose.residuals.residuals import white_limit
+from deepkoco.fit.data.halves import halved
+from deepkoco.fit.data.windows import Windows, cut_windows, moving
+from deepkoco.fit.fit import Fit, FitProblem
+from deepkoco.fit.solve.command_noise import with_command_noise
+from deepkoco.fit.solve.dispersion import dispersion
+from deepkoco.fit.solve.scaled_inverse import DivergedError
+from deepkoco.logs.between_rows import EARLIEST, changes_often, earlier, with_commands_around_rows
+from deepkoco.logs.recording import Recording
+from deepkoco.systems import System
+
+SOME = 10  # windows that decide
+FURTHER = 16  # iterations of a fit that begins at the end of another one
+EVIDENCE = 10.0  # fall of minus twice the log likelihood from which commands act around rows
+CLEARLY = 30.0  # of it, from which it is an engine that has commands early
+LATER = 1.0  # rows by which commands may act early instead, as those do whose stamps are late
+FURTHER_LEADS, SAME = 2, 0.03  # that find the lead; difference of leads that hardly matters [rows]
+
+log = logging.getLogger(__name__)
+
+
+class Read(NamedTuple):
+    """How logs are read.
+
+    Attributes:
+        system: The system as what made the logs simulates it.
+        rows: Share of a row by which commands act before theirs.
+    """
+
+    system: System
+    rows: float
+
+    def logs(self, recordings: Sequence[Recording]) -> list[Recording]:
+        """Return logs with commands from the instants at which they act."""
+        return [with_commands_around_rows(log, self.rows) for log in recordings]
+
+
+def as_recorded(
+    recordings: Sequence[Recording], system: System, length: float, learned: Baseline | None = None
+) -> Read:
+    """Return from when on the commands of logs act, and what made the logs.
+
+    An engine of a model file has commands half a step early, too. So the logs choose between both.
+
+    Args:
+        recordings: Logs of one recorder.
+        system: The system.
+        length: Of the windows [s].
+        learned: Baseline from healthy logs, which have decided; None for none.
+    """
+    if learned is not None:
+        return Read(as_engine_if_shown(recordings, system, length, learned), learned.rows_early)
+    held, left_of_held = closest_of_logs(recordings, system, length)
+    if left_of_held is not None and held.engine is None and left_of_held.per_sample <= NOISE:
+        return Read(held, 0.0)
+    rows = rows_early(recordings, system, length)
+    if rows == 0.0:
+        return Read(held, 0.0)
+    early = [with_commands_around_rows(own, rows) for own in recordings]
+    around, left_of_around = closest_of_logs(early, system, length)
+    log.debug("from their rows on %s, around them %s", left_of_held, left_of_around)
+    if left_of_held is None or left_of_around is None:
+        return Read(around, rows)
+    # The steps of an engine are chosen, too, and act as such a lead does.
+    gain = (left_of_around.cost - left_of_held.cost) / max(left_of_held.per_sample, 1.0)
+    return Read(held, 0.0) if gain > CLEARLY else Read(around, rows)
+
+
+def rows_early(recordings: Sequence[Recording], system: System, length: float) -> float:
+    """Return by which share of a row commands act before theirs; 0 where refits leave no less for it that counts.
+
+    Where commands act earlier still, their stamps are late, which is another thing.
+
+    Args:
+        recordings: Logs of one recorder.
+        system: The system.
+        length: Of the windows [s].
+    """
+    windows = cut_windows(recordings, system, length)
+    windows = windows.take(moving(windows)) if len(windows) else windows
+    moved = [c for c in windows.commands if c.changes]
+    if not len(windows) or not moved or not all(changes_often(c.value) for c in moved):
+        return 0.0
+    windows = windows.take(np.unique(np.linspace(0, len(windows) - 1, SOME).astype(int)))
+    try:
+        return _rows_early(baseline_from(system, windows), windows)
+    except DivergedError:
+        return 0.0
+
+
+def _rows_early(start: Baseline, windows: Windows) -> float:
+    names = start.prior.names
+    held = from_shorter_windows(start, windows, names)
+    if held.chi2 <= white_limit(windows) * windows.samples:
+        return 0.0
+    start = replace(start, values={**start.values, **{n: held.values[n] for n in names}})
+    state = windows.state.clone()
+    state[:] = held.state[::2]
+    noisy = with_command_noise(partial(FitProblem, start.system), windows, held.values, state)
+    if noisy is not windows:
+        # The same noise for all: what is left of each is then compared in the same measure.
+        windows = noisy
+        held = on_half_windows(start, windows, names, FURTHER)
+
+    def left(rows: float) -> Fit:
+        moved = tuple(replace(c, t=earlier(c.t, rows)) for c in windows.commands)
+        return on_half_windows(start, replace(windows, commands=moved), names, FURTHER)
+
+    fits = {share: left(share) for share in (0.5 * EARLIEST, EARLIEST)}
+    costs = {0.0: held.chi2, **{share: fit.chi2 for share, fit in fits.items()}}
+    best = min(fits.values(), key=lambda fit: fit.chi2)
+    spread = dispersion(best, halved(windows))
+    counts = max(spread.chi2_per_sample, 1.0) * spread.correlation
+    log.debug("by rows %s", costs)
+    if held.chi2 - best.chi2 < EVIDENCE * counts or left(LATER).chi2 < best.chi2:
+        return 0.0
+    rows = _least(costs)
+    for _ in range(FURTHER_LEADS):
+        if any(abs(rows - own) < SAME for own in costs):
+            break
+        costs[rows] = left(rows).chi2
+        rows = _least(costs)
+    log.debug("by rows %s: %.3g", costs, rows)
+    return rows
+
+
+def _least(costs: Mapping[float, float]) -> float:
+    """Return the lead of least cost on a parabola through the three best ones."""
+    near = sorted(costs, key=lambda each: costs[each])[:3]
+    curvature, slope, _ = np.polyfit(near, [costs[each] for each in near], 2)
+    return float(np.clip(-0.5 * slope / curvature, 0.0, EARLIEST)) if curvature > 0.0 else near[0]

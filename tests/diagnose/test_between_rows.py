@@ -1,0 +1,90 @@
+"""Commands of a controller that is faster than its log act around their rows; those of a log's own loop do not."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+
+from deepkoco.diagnose.baseline import baseline_from
+from deepkoco.diagnose.between_rows import _rows_early
+from deepkoco.excitation.record import record
+from deepkoco.fit.data.noise import Noise
+from deepkoco.fit.data.series import CommandSeries
+from deepkoco.fit.data.windows import cut_windows, moving
+from deepkoco.fit.fit import FitProblem
+from deepkoco.logs.between_rows import changes_often, earlier, with_commands_around_rows
+from deepkoco.systems import make_system
+from deepkoco.unit import make_unit
+
+ROW = 0.005  # [s]
+
+
+@cache
+def log():
+    unit = make_unit("torque_pendulum", sensor={"rate_hz": 1.0 / ROW}, seed=3)
+    return record(unit, "chirp", 10.0, clock="simulated", seed=3)
+
+
+def smooth(t):
+    return 0.4 * np.sin(2.0 * np.pi * 1.3 * t) + 0.2 * np.sin(2.0 * np.pi * 3.1 * t)
+
+
+def logged(each, late=0.0):
+    """Windows of a pendulum whose controller changes its command ``each`` times a row, late by some time [s]."""
+    windows = cut_windows([log()], make_system("torque_pendulum"), 1.0)
+    windows = replace(windows.take(moving(windows)), noise=(Noise(2e-5, 0.05), Noise(5e-3, 0.05)))
+    start = baseline_from(make_system("torque_pendulum"), windows)
+    end = float(windows.commands[0].t[-1])
+    fast = np.arange(int(end / ROW) * each) * (ROW / each)
+    acted = replace(windows, commands=(CommandSeries(fast + late, smooth(fast)),))
+    problem = FitProblem(start.system, acted)
+    theta = np.array([[float(start.values[n]) for n in problem.names]])
+    shown = problem.predict(theta, windows.state[None], problem.nuisances.none()[None])[0]
+    rng = torch.Generator().manual_seed(1)
+    noise = windows.sample_sd * torch.randn(shown.shape, dtype=torch.float64, generator=rng)
+    rows = CommandSeries(fast[::each], smooth(fast[::each]))
+    return start, replace(windows.with_value((shown + noise) * windows.valid), commands=(rows,))
+
+
+@pytest.mark.parametrize("each", [2, 5, 10])
+def test_commands_of_a_faster_controller_act_before_their_rows(each):
+    # Of n commands a row, the first one acts from the row on, and their mean is that of the row's middle less 1 / 2n.
+    start, windows = logged(each)
+    assert _rows_early(start, windows) == pytest.approx(0.5 * (1.0 - 1.0 / each), abs=0.06)
+
+
+def test_commands_of_the_loop_that_logs_them_act_from_their_rows_on():
+    start, windows = logged(1)
+    assert _rows_early(start, windows) == 0.0
+
+
+@pytest.mark.parametrize("late", [ROW, 2.4 * ROW])
+def test_commands_that_are_late_act_after_their_rows(late):
+    start, windows = logged(1, late)
+    assert _rows_early(start, windows) == 0.0
+
+
+def test_stamps_that_are_late_by_rows_are_another_thing():
+    start, windows = logged(1, -2.0 * ROW)
+    assert _rows_early(start, windows) == 0.0
+
+
+def test_a_controller_that_is_slower_than_its_log_is_not_asked():
+    t = np.arange(200) * ROW
+    assert changes_often(smooth(t))
+    assert not changes_often(np.repeat(smooth(t[::4]), 4))
+    assert not changes_often(np.zeros(200))
+
+
+def test_a_log_says_from_when_on_its_commands_were_taken():
+    recording, name = log(), log().names("command")[0]
+    moved = with_commands_around_rows(recording, 0.4)
+    own, other = recording.channels[name], moved.channels[name]
+    row = float(np.median(np.diff(own.t)))
+    np.testing.assert_allclose(other.t, own.t - 0.4 * row)
+    np.testing.assert_allclose(earlier(own.t, 0.4), other.t)
+    np.testing.assert_array_equal(other.value, own.value)
+    assert "faster than the log" in moved.warnings[-1]
+    assert with_commands_around_rows(recording, 0.0) is recording
