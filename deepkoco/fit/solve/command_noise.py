@@ -46,7 +46,8 @@ SHARES = (0.5, 0.7, 1.0)
 EVIDENCE = 10.0  # fall of minus twice the log likelihood from which a command is believed to have noise
 WIDE = 3.0  # variance by noise, of those of the sensors, from which a direction shows its size by itself
 DIRECTIONS = 4  # of a place that are so wide, from which they show whether noise has made all of them alike
-LARGER = 4.0  # times the largest noise of the logged commands, as a variance, that unlogged ones between rows may have
+# Times the largest noise of the logged commands, as a variance, that those have which no row shows.
+SMALLEST, LARGER = 0.2, 4.0
 FELT = 4.0  # rise of it from which the motor has felt the roughness of its command
 WIDER = 1.5  # step between the numbers of slow waves of a command, of which one is kept out of its roughness
 LEFT = 0.25  # noise variances of a typical sample that count as noise of the sensors
@@ -280,7 +281,7 @@ def _share_of_noise(
         return 0.0
     share = _share_of_directions(found)
     if share is not None and share <= LARGER:
-        return share if share >= SHARES[0] else 0.0
+        return share if share >= SMALLEST else 0.0
     seen = [found]
     for short in asked[:-1]:
         seen.append(answers(short))
