@@ -13,7 +13,12 @@ from deepkoco.fit.data.halves import halved
 from deepkoco.fit.data.wander import Wander, compressed, joined
 from deepkoco.fit.data.windows import cut_windows, moving
 from deepkoco.fit.fit import FitProblem
-from deepkoco.fit.solve.command_noise import noise_of_commands, with_command_noise
+from deepkoco.fit.solve.command_noise import (
+    Answer,
+    _share_of_directions,
+    noise_of_commands,
+    with_command_noise,
+)
 from deepkoco.fit.solve.dispersion import dispersion
 from deepkoco.fit.solve.residual_noise import with_sharp_noise
 from deepkoco.systems import make_system
@@ -126,6 +131,35 @@ def test_parameters_of_a_log_with_noisy_commands_are_sharper_and_as_honest():
     assert max(map(abs, off)) < 3.5
     raw = problem.windows.errors(fit.residual)
     torch.testing.assert_close(problem.weighed(raw), fit.residual)
+
+
+def answer(power, width):
+    return Answer(np.asarray(power), np.asarray(width), 0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("share", [0.3, 1.0, 2.5])
+def test_the_share_is_that_by_which_most_directions_are_wide(share):
+    rng = np.random.default_rng(7)
+    width = 10.0 ** rng.uniform(0.6, 4.0, (40, 12))
+    power = (1.0 + share * width) * rng.standard_normal(width.shape) ** 2
+    power[:, 0] += 1e7  # a wrong model leaves much more in the widest direction
+    found = _share_of_directions([answer(p, w) for p, w in zip(power, width, strict=True)])
+    assert found == pytest.approx(share, rel=0.35)
+
+
+def test_directions_that_only_the_sensors_make_wide_have_no_noise_of_commands():
+    rng = np.random.default_rng(8)
+    width = 10.0 ** rng.uniform(0.6, 4.0, (40, 12))
+    power = rng.standard_normal(width.shape) ** 2
+    power[:, :3] += 1e5
+    found = _share_of_directions([answer(p, w) for p, w in zip(power, width, strict=True)])
+    assert found is not None
+    assert found < 0.02
+
+
+def test_a_few_wide_directions_do_not_tell_the_share():
+    narrow = [answer([5.0, 1.0, 1.0], [50.0, 0.1, 0.1]) for _ in range(40)]
+    assert _share_of_directions(narrow) is None
 
 
 @pytest.mark.parametrize("share", [1.0, 0.98, 0.95, 0.9])

@@ -23,6 +23,7 @@ from deepkoco.logs.inspect.joints.finding import JointFinding
 from deepkoco.logs.inspect.joints.log_joints import EFFORT, EFFORTS, POSITION, SPEED, words_of
 from deepkoco.logs.inspect.joints.match import ITS_WORD, SAME_NAME
 from deepkoco.logs.inspect.joints.proposer import ONLY_EFFORT
+from deepkoco.logs.inspect.joints.scaling import DERIVED
 from deepkoco.logs.inspect.names import WANTED
 from deepkoco.logs.inspect.other_quantity import NUMBER_OF, measures_another
 from deepkoco.logs.inspect.survey import Survey, survey_log
@@ -120,7 +121,8 @@ def _doubt(survey: Survey, fitting: Fitting, system: System) -> str | None:
             return f"{name} is {choice.sureness}, but not by its name: {column.label}"
         if measures_another(choice):
             return f"{column.label} is in {choice.unit}, and {name} is in {choice.channel.unit}"
-        if choice.channel.kind == "measurement" and not (choice.stated or choice.held):
+        known = choice.stated or choice.held or DERIVED in choice.reasons
+        if choice.channel.kind == "measurement" and not known:
             return f"no name says that {column.label} is in {choice.unit}"
         if choice.channel.kind == "command" and (doubt := _doubt_of_command(choice, joints, system, others)):
             return doubt

@@ -274,7 +274,8 @@ def _measurement(
     if speed is None:
         why = (f'"{column.name}" is left out: it is not the derivative of the position',)
         return Choice(channel, None, channel.unit, False, 1.0, why)
-    return _chosen(channel, column, speed, finding, (finding.reason,), finding.sign * speed.scale, 0.0)
+    reasons = (finding.reason, speed.note) if speed.note else (finding.reason,)
+    return _chosen(channel, column, speed, finding, reasons, finding.sign * speed.scale, 0.0)
 
 
 def _command(

@@ -16,6 +16,7 @@ ROOM = 1.15  # a log may span this much of the model's range
 TICKS = 4096  # of a turn, of most servos of hobby robots
 PERCENT = 100.5  # largest number of a position in per cent of its range
 RELATED = 0.3  # agreement below which a column is not the derivative of the position
+DERIVED = "in this unit it is the derivative of the position"  # what values say of the unit of a speed
 NEAR = 0.15  # tolerance of the logarithm of a ratio of units
 
 
@@ -94,4 +95,4 @@ def speed_scaling(position: Samples, column: ColumnSurvey, speed: Samples, slide
     if column.hints.unit is not None:
         return Scaling(column.hints.unit, 1.0, 0.0, True)
     near = [u for u in units if abs(math.log(relation.ratio / factor_between(u, si))) < NEAR]
-    return Scaling(near[0], 1.0, 0.0, False) if near else Scaling(si, relation.ratio, 0.0, False)
+    return Scaling(near[0], 1.0, 0.0, False, DERIVED) if near else Scaling(si, relation.ratio, 0.0, False)
