@@ -91,7 +91,7 @@ class Baseline:
         roughness: Times the tolerances of causes that any unit has; see :mod:`deepkoco.diagnose.weighed`.
         narrowing: Factor by which its prior is narrower, as a variance, so that it counts as much as the residuals do;
             the correlation is not part of it.
-        rows_early: Share of a row by which the commands of its logs act before theirs; see
+        early: Time by which the commands of its logs act before their rows [s]; see
             :mod:`deepkoco.diagnose.between_rows`.
     """
 
@@ -108,7 +108,7 @@ class Baseline:
     tempering: float = 1.0
     roughness: float = 1.0
     narrowing: float = 1.0
-    rows_early: float = 0.0
+    early: float = 0.0
 
     @property
     def least_deflation(self) -> float:

@@ -20,7 +20,7 @@ from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.fit.solve.command_noise import with_command_noise
 from deepkoco.fit.solve.dispersion import dispersion
 from deepkoco.fit.solve.scaled_inverse import DivergedError
-from deepkoco.logs.between_rows import EARLIEST, changes_often, earlier, with_commands_around_rows
+from deepkoco.logs.between_rows import changes_often, with_early_commands
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import System
 
@@ -28,7 +28,8 @@ SOME = 10  # windows that decide
 FURTHER = 16  # iterations of a fit that begins at the end of another one
 EVIDENCE = 10.0  # fall of minus twice the log likelihood from which commands act around rows
 CLEARLY = 30.0  # of it, from which it is an engine that has commands early
-LATER = 1.0  # rows by which commands may act early instead, as those do whose stamps are late
+EARLIEST = 0.5  # rows by which the commands of a faster controller act before their row at most
+LATER = 0.65  # rows by which commands may act early instead, as those do whose stamps are late
 FURTHER_LEADS, SAME = 2, 0.03  # that find the lead; difference of leads that hardly matters [rows]
 
 log = logging.getLogger(__name__)
@@ -39,15 +40,15 @@ class Read(NamedTuple):
 
     Attributes:
         system: The system as what made the logs simulates it.
-        rows: Share of a row by which commands act before theirs.
+        early: Time by which commands act before their rows [s].
     """
 
     system: System
-    rows: float
+    early: float
 
     def logs(self, recordings: Sequence[Recording]) -> list[Recording]:
         """Return logs with commands from the instants at which they act."""
-        return [with_commands_around_rows(log, self.rows) for log in recordings]
+        return [with_early_commands(log, self.early) for log in recordings]
 
 
 def as_recorded(
@@ -64,27 +65,28 @@ def as_recorded(
         learned: Baseline from healthy logs, which have decided; None for none.
     """
     if learned is not None:
-        return Read(as_engine_if_shown(recordings, system, length, learned), learned.rows_early)
+        return Read(as_engine_if_shown(recordings, system, length, learned), learned.early)
     held, left_of_held = closest_of_logs(recordings, system, length)
     if left_of_held is not None and held.engine is None and left_of_held.per_sample <= NOISE:
         return Read(held, 0.0)
-    rows = rows_early(recordings, system, length)
-    if rows == 0.0:
+    early = lead_of_commands(recordings, system, length)
+    if early == 0.0:
         return Read(held, 0.0)
-    early = [with_commands_around_rows(own, rows) for own in recordings]
-    around, left_of_around = closest_of_logs(early, system, length)
+    moved = [with_early_commands(own, early) for own in recordings]
+    around, left_of_around = closest_of_logs(moved, system, length)
     log.debug("from their rows on %s, around them %s", left_of_held, left_of_around)
     if left_of_held is None or left_of_around is None:
-        return Read(around, rows)
-    # The steps of an engine are chosen, too, and act as such a lead does.
-    gain = (left_of_around.cost - left_of_held.cost) / max(left_of_held.per_sample, 1.0)
-    return Read(held, 0.0) if gain > CLEARLY else Read(around, rows)
+        return Read(around, early)
+    # The steps of an engine are chosen, too, and act as such a lead does. Both are asked on windows of their own.
+    samples = left_of_held.cost / max(left_of_held.per_sample, 1e-12)
+    gain = samples * (left_of_around.per_sample / max(left_of_held.per_sample, 1.0) - 1.0)
+    return Read(held, 0.0) if gain > CLEARLY else Read(around, early)
 
 
-def rows_early(recordings: Sequence[Recording], system: System, length: float) -> float:
-    """Return by which share of a row commands act before theirs; 0 where refits leave no less for it that counts.
+def lead_of_commands(recordings: Sequence[Recording], system: System, length: float) -> float:
+    """Return the time [s] by which commands act before their rows; 0 where refits leave no less for it that counts.
 
-    Where commands act earlier still, their stamps are late, which is another thing.
+    A lead of more than half a row is none of a faster controller: the stamps are late, which is another thing.
 
     Args:
         recordings: Logs of one recorder.
@@ -93,17 +95,28 @@ def rows_early(recordings: Sequence[Recording], system: System, length: float) -
     """
     windows = cut_windows(recordings, system, length)
     windows = windows.take(moving(windows)) if len(windows) else windows
-    moved = [c for c in windows.commands if c.changes]
-    if not len(windows) or not moved or not all(changes_often(c.value) for c in moved):
+    if not len(windows):
+        return 0.0
+    rows = [float(np.median(np.diff(c.t))) for c in windows.commands if c.changes and len(c.t) > 2]
+    often = all(changes_often(c.value) for c in windows.commands if c.changes)
+    if not rows or not often or not all(map(_is_row_of_samples, recordings)):
         return 0.0
     windows = windows.take(np.unique(np.linspace(0, len(windows) - 1, SOME).astype(int)))
     try:
-        return _rows_early(baseline_from(system, windows), windows)
+        return _lead(baseline_from(system, windows), windows, float(np.median(rows)))
     except DivergedError:
         return 0.0
 
 
-def _rows_early(start: Baseline, windows: Windows) -> float:
+def _is_row_of_samples(recording: Recording) -> bool:
+    """Whether commands and measurements are columns of the same rows."""
+    channels = [recording.channels[n] for n in recording.names("command")]
+    shown = [recording.channels[n].t for n in recording.names("measurement")]
+    return all(any(np.array_equal(own.t, t) for t in shown) for own in channels)
+
+
+def _lead(start: Baseline, windows: Windows, row: float) -> float:
+    """Return the lead [s] of commands that are logged every row [s]."""
     names = start.prior.names
     held = from_shorter_windows(start, windows, names)
     if held.chi2 <= white_limit(windows) * windows.samples:
@@ -118,7 +131,7 @@ def _rows_early(start: Baseline, windows: Windows) -> float:
         held = on_half_windows(start, windows, names, FURTHER)
 
     def left(rows: float) -> Fit:
-        moved = tuple(replace(c, t=earlier(c.t, rows)) for c in windows.commands)
+        moved = tuple(replace(c, t=c.t - rows * row) for c in windows.commands)
         return on_half_windows(start, replace(windows, commands=moved), names, FURTHER)
 
     fits = {share: left(share) for share in (0.5 * EARLIEST, EARLIEST)}
@@ -136,7 +149,7 @@ def _rows_early(start: Baseline, windows: Windows) -> float:
         costs[rows] = left(rows).chi2
         rows = _least(costs)
     log.debug("by rows %s: %.3g", costs, rows)
-    return rows
+    return rows * row
 
 
 def _least(costs: Mapping[float, float]) -> float:

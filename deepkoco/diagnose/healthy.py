@@ -74,7 +74,7 @@ def learn_baseline(
     recordings = [with_held_values(log) for log in recordings]
     read = as_recorded(recordings, system, length)
     learned = learn_as_simulated(read.logs(recordings), read.system, length, progress, extension, limit)
-    return replace(learned, rows_early=read.rows)
+    return replace(learned, early=read.early)
 
 
 @one_thread()

@@ -15,16 +15,10 @@ import numpy as np
 from deepkoco.logs.recording import Recording
 
 OFTEN = 0.5  # share of the rows of a motion that change a command, from which its controller may be faster
-EARLIEST = 0.5  # rows by which the commands of a faster controller act before their row at most
-
-
-def earlier(t: np.ndarray, rows: float) -> np.ndarray:
-    """Return stamps (n,) that are earlier by a number of typical rows."""
-    return t - rows * float(np.median(np.diff(t)))
 
 
 def changes_often(value: np.ndarray) -> bool:
-    """Whether commands (n,) or (n, M) change at most rows of a motion: its controller is no slower than its log."""
+    """Whether commands (n,) or (n, M) change at most rows of a motion: their controller is no slower than these."""
     changed = (np.diff(value.reshape(len(value), -1), axis=0) != 0.0).any(1)
     if not changed.any():
         return False
@@ -32,20 +26,20 @@ def changes_often(value: np.ndarray) -> bool:
     return float(changed[first : last + 1].mean()) >= OFTEN
 
 
-def with_commands_around_rows(recording: Recording, rows: float) -> Recording:
-    """Return a log whose commands act from a share of a row before they are logged, with a warning; itself for 0."""
-    if rows == 0.0:
-        return recording
+def with_early_commands(recording: Recording, lead: float) -> Recording:
+    """Return a log whose commands act some time [s] before they are logged, with a warning; itself for 0."""
     names = recording.names("command")
-    series = {name: recording.channels[name] for name in names if len(recording.channels[name]) > 2}
-    early = {name: replace(s, t=earlier(s.t, rows)) for name, s in series.items()}
+    if lead == 0.0 or not names:
+        return recording
     told = ", ".join(f'"{n}"' for n in names)
     return replace(
         recording,
-        channels={**recording.channels, **early},
+        early=lead,
+        unknown=tuple((begin - lead, end) for begin, end in recording.unknown),
         warnings=(
             *recording.warnings,
-            f"{told} {'changes' if len(names) == 1 else 'change'} between rows, too, by a controller that is faster "
-            f"than the log: each row stands for what acts from {rows:.2g} of a row before it on",
+            f"{told} {'acts' if len(names) == 1 else 'act'} {1e3 * lead:.3g} ms before the rows that show "
+            f"{'it' if len(names) == 1 else 'them'}: the controller is faster than the log, and a row stands for "
+            "what acts around it (or the stamps of the commands are late by as much)",
         ),
     )

@@ -58,6 +58,7 @@ class Recording:
         meta: the content of the key `meta` of the sidecar.
         unknown: stretches (start, stop) [s] in which a command is unknown, or a measurement was filled in or frozen.
         warnings: assumptions and possible mistakes that the reader found.
+        early: time by which commands act before they are logged [s]; see :mod:`deepkoco.logs.between_rows`.
     """
 
     channels: dict[str, Series]
@@ -66,6 +67,7 @@ class Recording:
     meta: dict[str, Any] = field(default_factory=dict)
     unknown: tuple[Span, ...] = ()
     warnings: tuple[str, ...] = ()
+    early: float = 0.0
 
     def names(self, kind: str) -> tuple[str, ...]:
         """Return the names of the channels of one kind, "command" or "measurement"."""

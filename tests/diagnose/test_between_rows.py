@@ -8,13 +8,13 @@ import pytest
 import torch
 
 from deepkoco.diagnose.baseline import baseline_from
-from deepkoco.diagnose.between_rows import _rows_early
+from deepkoco.diagnose.between_rows import _lead, as_recorded, lead_of_commands
 from deepkoco.excitation.record import record
 from deepkoco.fit.data.noise import Noise
-from deepkoco.fit.data.series import CommandSeries
+from deepkoco.fit.data.series import CommandSeries, channel_series
 from deepkoco.fit.data.windows import cut_windows, moving
 from deepkoco.fit.fit import FitProblem
-from deepkoco.logs.between_rows import changes_often, earlier, with_commands_around_rows
+from deepkoco.logs.between_rows import changes_often, with_early_commands
 from deepkoco.systems import make_system
 from deepkoco.unit import make_unit
 
@@ -52,23 +52,24 @@ def logged(each, late=0.0):
 def test_commands_of_a_faster_controller_act_before_their_rows(each):
     # Of n commands a row, the first one acts from the row on, and their mean is that of the row's middle less 1 / 2n.
     start, windows = logged(each)
-    assert _rows_early(start, windows) == pytest.approx(0.5 * (1.0 - 1.0 / each), abs=0.06)
+    assert _lead(start, windows, ROW) == pytest.approx(0.5 * (1.0 - 1.0 / each) * ROW, abs=0.06 * ROW)
 
 
 def test_commands_of_the_loop_that_logs_them_act_from_their_rows_on():
     start, windows = logged(1)
-    assert _rows_early(start, windows) == 0.0
+    assert _lead(start, windows, ROW) == 0.0
 
 
 @pytest.mark.parametrize("late", [ROW, 2.4 * ROW])
 def test_commands_that_are_late_act_after_their_rows(late):
     start, windows = logged(1, late)
-    assert _rows_early(start, windows) == 0.0
+    assert _lead(start, windows, ROW) == 0.0
 
 
-def test_stamps_that_are_late_by_rows_are_another_thing():
-    start, windows = logged(1, -2.0 * ROW)
-    assert _rows_early(start, windows) == 0.0
+@pytest.mark.parametrize("rows", [0.8, 1.0, 2.0])
+def test_stamps_that_are_late_by_most_of_a_row_are_another_thing(rows):
+    start, windows = logged(1, -rows * ROW)
+    assert _lead(start, windows, ROW) == 0.0
 
 
 def test_a_controller_that_is_slower_than_its_log_is_not_asked():
@@ -78,13 +79,35 @@ def test_a_controller_that_is_slower_than_its_log_is_not_asked():
     assert not changes_often(np.zeros(200))
 
 
-def test_a_log_says_from_when_on_its_commands_were_taken():
-    recording, name = log(), log().names("command")[0]
-    moved = with_commands_around_rows(recording, 0.4)
-    own, other = recording.channels[name], moved.channels[name]
-    row = float(np.median(np.diff(own.t)))
-    np.testing.assert_allclose(other.t, own.t - 0.4 * row)
-    np.testing.assert_allclose(earlier(own.t, 0.4), other.t)
+def with_commands_at(recording, t):
+    name = recording.names("command")[0]
+    own = recording.channels[name]
+    channels = {**recording.channels, name: replace(own, t=t, value=smooth(t))}
+    return replace(recording, channels=channels)
+
+
+def test_commands_with_stamps_of_their_own_keep_them():
+    slow = with_commands_at(log(), np.arange(0.0, 10.0, 2.3 * ROW))
+    assert lead_of_commands([slow], make_system("torque_pendulum"), 1.0) == 0.0
+
+
+def test_a_log_says_from_when_on_its_commands_act():
+    recording, system = replace(log(), unknown=((3.0, 4.0),)), make_system("torque_pendulum")
+    moved = with_early_commands(recording, 0.002)
+    (own, shown), (other, again) = (channel_series(each, system) for each in (recording, moved))
+    np.testing.assert_allclose(other.t, own.t - 0.002)
     np.testing.assert_array_equal(other.value, own.value)
-    assert "faster than the log" in moved.warnings[-1]
-    assert with_commands_around_rows(recording, 0.0) is recording
+    for name, (t, value) in shown.items():
+        np.testing.assert_array_equal(again[name][0], t)
+        np.testing.assert_array_equal(again[name][1], value)
+    assert moved.unknown == ((2.998, 4.0),)
+    assert "2 ms before the rows" in moved.warnings[-1]
+    assert with_early_commands(recording, 0.0) is recording
+
+
+def test_healthy_logs_have_decided_for_others_of_their_recorder():
+    system = make_system("torque_pendulum")
+    learned = replace(baseline_from(system, cut_windows([log()], system, 1.0)), early=0.002)
+    read = as_recorded([log()], system, 1.0, learned)
+    (other,) = read.logs([log()])
+    assert read.early == other.early == 0.002

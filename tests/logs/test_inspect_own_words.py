@@ -7,7 +7,6 @@ import pytest
 import deepkoco
 from deepkoco.logs.formats import open_log
 from deepkoco.logs.inspect import propose, survey_log
-from deepkoco.logs.inspect.joints.log_joints import role_in_name
 from deepkoco.logs.inspect.joints.match import match_joints
 from deepkoco.logs.read_logs import read_logs
 from deepkoco.logs.recording import LogError
@@ -117,5 +116,39 @@ def test_a_torque_of_a_joint_behind_a_gear_may_be_either(tmp_path):
         read(*robot(tmp_path, joints, gear, {**shown, "axis_1_torque [Nm]": np.cos(5.0 * T)}))
 
 
-def test_the_symbol_of_a_current_is_no_position():
-    assert role_in_name("i_q")[0] == "position"  # without a unit, q is a position
+@pytest.mark.parametrize("name", ["axis_1_angle [V]", "axis_1_vel [V]"])
+def test_the_voltage_of_a_sensor_drives_nothing(tmp_path, name):
+    joints = ('name="axis_1" axis="0 0 1"', 'name="axis_2" axis="0 1 0"')
+    gear = '<motor name="m1" joint="axis_1" gear="5"/>'
+    shown = {"axis_1_position [rad]": FIRST, "axis_2_position [rad]": SECOND}
+    with pytest.raises(LogError):
+        read(*robot(tmp_path, joints, gear, {**shown, name: FIRST}))
+
+
+@pytest.mark.parametrize(
+    ("log", "model"),
+    [
+        (["0", "1", "2", "3"], ["j1", "j2", "j3"]),
+        (["0", "1", "2", "3", "4", "5"], ["j1_base", "j2", "j3", "j4", "j5", "j6"]),
+        (["0", "1", "2", "3", "4", "5"], ["pan", "lift", "elbow", "wrist_1", "wrist_2", "wrist_3"]),
+        (["j0", "j1"], ["j1_base", "j2_elbow"]),
+    ],
+)
+def test_numbers_that_begin_elsewhere_name_no_joint(log, model):
+    matches = match_joints(log, model)
+    assert not any("is in the name" in m.reason for m in matches)
+    assert all(m.log == m.model for m in matches)
+
+
+def test_a_number_that_is_called_as_its_drive_is_no_speed(tmp_path):
+    joints = ('name="wheel" axis="0 0 1"', 'name="other" axis="0 1 0"')
+    drive = '<motor name="wheel_drive" joint="wheel" gear="5"/>'
+    columns = {
+        "wheel_position [rad]": FIRST,
+        "other_position [rad]": SECOND,
+        "wheel_drive": np.gradient(FIRST, T),
+    }
+    log, system = robot(tmp_path, joints, drive, columns)
+    choices = {c.channel.name: c for c in propose(survey_log(open_log(log)), system).proposal.choices}
+    assert choices["dq_wheel"].column is None
+    assert choices["wheel_drive"].column is not None

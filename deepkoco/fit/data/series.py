@@ -69,7 +69,7 @@ def channel_series(
     """Commands and measurements of a recording, at the times that they show.
 
     Angles are unwrapped, stamps of a regular loop even, and speeds that are differences of positions stand between
-    these.
+    these. Commands stand where they act.
 
     Raises:
         LogError: A command or every measurement is missing, or a sample is not finite.
@@ -118,14 +118,14 @@ def channel_series(
         return CommandSeries(t, value[:, 0] if value.shape[1] == 1 else value), series
     guesses = [command.t[command.guessed] for command in logged if command.guessed is not None]
     if len(system.commands) == 1:
-        return CommandSeries(logged[0].t, logged[0].value, logged[0].guessed), series
+        return CommandSeries(logged[0].t - recording.early, logged[0].value, logged[0].guessed), series
     # Each command holds until its next stamp: on the union of all stamps they are one series.
     t = np.unique(np.concatenate([command.t for command in logged]))
     t = t[t >= max(command.t[0] for command in logged)]
     held = {name: command.hold(t) for name, command in zip(names, logged, strict=True)}
     columns = [held.get(command.name, np.full(len(t), command.default)) for command in system.commands]
     guessed = np.isin(t, np.concatenate(guesses)) if guesses else None
-    return CommandSeries(t, np.column_stack(columns), guessed), series
+    return CommandSeries(t - recording.early, np.column_stack(columns), guessed), series
 
 
 def scatter_taken_out(

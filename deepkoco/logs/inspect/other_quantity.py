@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from deepkoco.logs.inspect.choice import Choice, Proposal
@@ -29,7 +30,11 @@ def with_numbers_of_drives(system: System, proposal: Proposal) -> Proposal:
     """
     joints = dict(zip((c.name for c in system.commands), system.command_joints, strict=False))
     loads = {name: LOADS.get(system.state_units[joint]) for name, joint in joints.items()}
-    choices = tuple(_as_number(choice, loads.get(choice.channel.name)) for choice in proposal.choices)
+    named = {name: words_of(system.joint_names[joint]) for name, joint in joints.items()}
+    choices = tuple(
+        _as_number(choice, loads.get(choice.channel.name), named.get(choice.channel.name, []))
+        for choice in proposal.choices
+    )
     return replace(proposal, choices=choices)
 
 
@@ -39,14 +44,15 @@ def measures_another(choice: Choice) -> bool:
     return choice.column is not None and own != wanted
 
 
-def _as_number(choice: Choice, load: str | None) -> Choice:
+def _as_number(choice: Choice, load: str | None, joint: Sequence[str]) -> Choice:
     own, wanted = parse_unit(choice.unit), parse_unit(choice.channel.unit)
     number = choice.channel.kind == "command" and wanted.quantity == "ratio"
     asked = None if choice.column is None else role_of(choice.column)[0]
+    said = set() if choice.column is None else set(words_of(choice.column.name)) - set(joint)
     of_a_drive = (
         own.quantity in OF_A_DRIVE
         or (load is not None and own.quantity in LOADS.values() and own.quantity != load)
-        or (own.quantity == "torque" and choice.column is not None and MOTOR in words_of(choice.column.name))
+        or (own.quantity == "torque" and MOTOR in said)
         or (asked == "goal speed" and own.quantity == "angular velocity")
     )
     if choice.column is None or not number or not of_a_drive:

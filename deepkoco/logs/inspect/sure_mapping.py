@@ -20,7 +20,7 @@ from deepkoco.logs.inspect.choice import Choice, Proposal, mapping_of
 from deepkoco.logs.inspect.evidence import POSITIONS, SPEEDS
 from deepkoco.logs.inspect.fitting import Fitting, NoProposalError, propose
 from deepkoco.logs.inspect.joints.finding import JointFinding
-from deepkoco.logs.inspect.joints.log_joints import EFFORT, EFFORTS, POSITION, SPEED, words_of
+from deepkoco.logs.inspect.joints.log_joints import EFFORT, POSITION, SPEED, is_symbol_of, words_of
 from deepkoco.logs.inspect.joints.match import ITS_WORD, SAME_NAME
 from deepkoco.logs.inspect.joints.proposer import ONLY_EFFORT
 from deepkoco.logs.inspect.joints.scaling import DERIVED
@@ -189,8 +189,7 @@ def _doubt_of_command(
         tracking = None if finding is None else finding.tracking
         follows = tracking is not None and tracking.follows and ONE_UNIT[0] < tracking.slope < ONE_UNIT[1]
         return None if follows else f"{column.label} is no goal that its position follows in one unit"
-    effort = column.hints.unit is not None and parse_unit(column.hints.unit).quantity in EFFORTS
-    if not effort and (said & (POSITION | SPEED) or (said & set(WANTED) and not said & EFFORT)):
+    if not is_symbol_of(column) and (said & (POSITION | SPEED) or (said & set(WANTED) and not said & EFFORT)):
         return f"{column.label} may be a goal of a position or a speed, and {channel.name} is none"
     if choice.stated or choice.held:
         return None
@@ -236,7 +235,7 @@ def _may_be_measured(choice: Choice) -> bool:
 
 def _assumed_of(choice: Choice, label: str) -> str:
     size = abs(choice.scale)
-    if any(NUMBER_OF in reason for reason in choice.reasons) and size == 1.0:
+    if f"{NUMBER_OF} N m" in choice.reasons and size == 1.0:
         return f"{label} is {choice.channel.name} before its gear"
     if choice.channel.unit == "1" and size != 1.0:
         return f"{label} times {size:.3g} is {choice.channel.name}"

@@ -254,13 +254,20 @@ def role_of(column: ColumnSurvey) -> tuple[str | None, str]:
     # `n_soll Lift [1/min]` and `i_q_X [A]` are of Lift and X, and `m_left_torque [Nm]` of a joint m_left.
     if rest and symbol in SYMBOLS.get(quantity, ()) and words[0] == symbol and words[1] in _ROLE_WORDS:
         label = rest
-    if role in ("position", "speed") and quantity in EFFORTS:
+    if role == "position" and is_symbol_of(column):
         role = "effort"
     if role != "goal":
         return role, label
     return {**dict.fromkeys(SPEEDS, "goal speed"), **dict.fromkeys(EFFORTS, "goal effort")}.get(
         quantity, role
     ), label
+
+
+def is_symbol_of(column: ColumnSurvey) -> bool:
+    """Whether a name begins with the symbol of an effort in its unit: the q of ``i_q_X [A]`` is no position."""
+    unit = column.hints.unit
+    quantity = "" if unit is None else parse_unit(unit).quantity
+    return quantity in EFFORTS and words_of(column.name)[:1] in ([own] for own in SYMBOLS.get(quantity, ()))
 
 
 def role_in_name(name: str, topic: str = "") -> tuple[str | None, str]:

@@ -107,8 +107,11 @@ def _by_own_word(log: Sequence[str], model: Sequence[str]) -> dict[int, int]:
 
     ``cart`` is the joint ``cart_slide``, and ``1`` the joint ``j1_base``. What all joints of the log share tells none.
     """
-    parts = [set(_words_and_numbers(name)) for name in model]
-    of_log = [set(_words_and_numbers(name)) for name in log]
+    parts, of_log = ([set(_words_and_numbers(name)) for name in names] for names in (model, log))
+    if not _counted_alike(log, model):
+        parts, of_log = (
+            [{w for w in words if not w.isdecimal()} for words in own] for own in (parts, of_log)
+        )
     shared = set.intersection(*of_log) if len(of_log) > 1 else set()
     found: dict[int, int] = {}
     for i, words in enumerate(of_log):
@@ -118,6 +121,17 @@ def _by_own_word(log: Sequence[str], model: Sequence[str]) -> dict[int, int]:
             found[i] = having[0]
     taken = list(found.values())
     return {i: j for i, j in found.items() if taken.count(j) == 1}
+
+
+def _counted_alike(log: Sequence[str], model: Sequence[str]) -> bool:
+    """Whether both count all of their joints, each by one number of its own, and the model has those of the log."""
+    numbers = [[[int(n) for n in re.findall(r"\d+", name)] for name in names] for names in (log, model)]
+    if not all(len(own) == 1 for names in numbers for own in names):
+        return False
+    of_log, of_model = ([own[0] for own in names] for names in numbers)
+    distinct = all(len(set(own)) == len(own) for own in (of_log, of_model))
+    # Where one begins at 0 and the other at 1, the same numbers are other joints.
+    return distinct and (0 in of_log) == (0 in of_model) and set(of_log) <= set(of_model)
 
 
 def _words_and_numbers(name: str) -> list[str]:

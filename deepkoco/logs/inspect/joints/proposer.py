@@ -75,7 +75,7 @@ def propose_joints(surveys: Sequence[Survey], system: System) -> Proposal:
     matches = match_joints([joint.label for joint in found], system.joint_names, _apart(found, system))
     give_commands(called, {match.model: found[match.log] for match in matches}, system)
     _add_loose_goals(survey, found, system)
-    add_speeds(survey, found)
+    add_speeds(survey, found, system.commands)
     joints = _scaled(surveys, system, found, matches)
     evidence = gravity_evidence(surveys, system, joints)
     findings = {joint.number: _finding(survey, system, joint, evidence) for joint in joints}

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
+from deepkoco.logs.by_name import wanted_names
 from deepkoco.logs.checks.derivative import relate
 from deepkoco.logs.inspect.evidence import SPEEDS
-from deepkoco.logs.inspect.joints.log_joints import GOAL, LogJoint, words_of
+from deepkoco.logs.inspect.joints.log_joints import EFFORT, GOAL, POSITION, LogJoint, words_of
 from deepkoco.logs.inspect.survey import ColumnSurvey, Survey
 from deepkoco.logs.units import parse_unit
+from deepkoco.systems import Channel
 
 IS_DERIVATIVE = 0.9  # agreement from which a column is the derivative of a position
 
 
-def add_speeds(survey: Survey, joints: Sequence[LogJoint]) -> None:
+def add_speeds(survey: Survey, joints: Sequence[LogJoint], commands: Sequence[Channel]) -> None:
     """Give each joint without a speed the column that is the derivative of its position, and has its name.
 
     Where the log has one joint, any name will do. A goal is none, nor one of two such columns.
@@ -21,9 +23,11 @@ def add_speeds(survey: Survey, joints: Sequence[LogJoint]) -> None:
     Args:
         survey: Of the log.
         joints: Its joints, which change.
+        commands: Of the system; what is called as one of them is no speed.
     """
     known = {column.label for joint in joints for column in joint.columns.values()}
-    free = [c for c in survey.columns if c.usable and c.label not in known and _may_be_speed(c)]
+    names = {name for command in commands for name in wanted_names(command.name, "command")}
+    free = [c for c in survey.columns if c.usable and c.label not in known and _may_be_speed(c, names)]
     for joint in joints:
         if "speed" in joint.columns:
             continue
@@ -41,7 +45,8 @@ def add_speeds(survey: Survey, joints: Sequence[LogJoint]) -> None:
             joint.columns["speed"] = found[0]
 
 
-def _may_be_speed(column: ColumnSurvey) -> bool:
+def _may_be_speed(column: ColumnSurvey, commands: Collection[str]) -> bool:
     unit = column.hints.unit
     speed = unit is None or parse_unit(unit).quantity in SPEEDS
-    return speed and not GOAL & set(words_of(column.name))
+    words = set(words_of(column.name))
+    return speed and not (GOAL | EFFORT | POSITION) & words and column.name.strip() not in commands
