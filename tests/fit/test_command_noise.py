@@ -13,14 +13,10 @@ from deepkoco.fit.data.halves import halved
 from deepkoco.fit.data.wander import Wander, compressed, joined
 from deepkoco.fit.data.windows import cut_windows, moving
 from deepkoco.fit.fit import FitProblem
-from deepkoco.fit.solve.command_noise import (
-    Answer,
-    _share_of_directions,
-    noise_of_commands,
-    with_command_noise,
-)
+from deepkoco.fit.solve.command_noise import noise_of_commands, with_command_noise
 from deepkoco.fit.solve.dispersion import dispersion
 from deepkoco.fit.solve.residual_noise import with_sharp_noise
+from deepkoco.fit.solve.shown_noise import Answer, _share_of_directions
 from deepkoco.systems import make_system
 from deepkoco.unit import make_unit
 
