@@ -19,11 +19,11 @@ import logging
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from deepkoco.diagnose.baseline import Baseline
+from deepkoco.diagnose.baseline import Baseline, Near
 from deepkoco.diagnose.left_of_logs import LESS, NOISE, Left, LeftOfLogs
 from deepkoco.fit.data.own_steps import nearest_own_step
 from deepkoco.fit.data.windows import cut_windows, estimate_channels, moving
@@ -65,46 +65,61 @@ def as_engine_if_shown(
         of_learned = learned.system
         own = system.with_engine(of_learned.engine, of_learned.engine_step)
         return system if own is None else own
-    return closest_of_logs(recordings, system, length)[0]
+    return closest_of_logs(recordings, system, length).system
 
 
-def closest_of_logs(recordings: Sequence[Recording], system: S, length: float) -> tuple[S, Left | None]:
-    """Return the system as the engine of its file simulates it, or itself, and what it leaves of some windows.
+class Closest(NamedTuple):
+    """What simulates logs best.
+
+    Attributes:
+        system: The system, as a machine or as an engine simulates it.
+        left: What it leaves of some windows; None where nothing was asked.
+        near: What the fits of these windows tell of further ones; None where nothing was asked.
+    """
+
+    system: System
+    left: Left | None = None
+    near: Near | None = None
+
+
+def closest_of_logs(
+    recordings: Sequence[Recording], system: System, length: float, near: Near | None = None
+) -> Closest:
+    """Return the system as the engine of its file simulates it, or itself: the one that follows the logs better.
 
     Args:
         recordings: Logs.
         system: The system.
         length: Of the windows [s].
-
-    Returns:
-        The one that follows the logs better; without what it leaves where nothing was asked.
+        near: What earlier fits of the logs have told; None for none.
     """
     if system.engine is not None or not system.engines:
-        return system, None  # a file says that it is of an engine, or there is none
+        return Closest(system)  # a file says that it is of an engine, or there is none
     windows = cut_windows(recordings, system, length, estimate_channels(recordings, system))
     windows = windows.take(moving(windows)) if len(windows) else windows
     if len(windows) == 0:
-        return system, None
+        return Closest(system)
     many = len(system.parameters) + windows.state.shape[1] >= MANY
     windows = windows.take(np.unique(np.linspace(0, len(windows) - 1, FEW if many else SOME).astype(int)))
-    left, nearest = LeftOfLogs(windows), partial(nearest_own_step, windows)
+    left, nearest = LeftOfLogs(windows, near), partial(nearest_own_step, windows)
     try:
         held = left(system)
         if len(quiet := left.undisturbed()) < len(windows):
-            left = LeftOfLogs(quiet)
+            left = LeftOfLogs(quiet, left.near)
             held = left(system)
         law, leaves = closest(system, left, nearest, held=held, noise=left.noise)
     except DivergedError:
-        return system, None
+        return Closest(system)
     if not left.noise < leaves.per_sample <= FAR:
-        return law, leaves
+        return Closest(law, leaves, left.near)
     with contextlib.suppress(DivergedError):
         # Late commands hide that an engine has them early.
         late = left.late(system, held)
         if late.less_than(held) and (late.per_sample <= NEAR or late.cost <= LATE * held.cost):
             other, leaves_late = closest(system, left.late, nearest, NOISE, late, left.noise)
-            return (law, leaves) if other.engine is None else (other, leaves_late)
-    return law, leaves
+            if other.engine is not None:
+                law, leaves = other, leaves_late
+    return Closest(law, leaves, left.near)
 
 
 def closest(

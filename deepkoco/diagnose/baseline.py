@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -14,6 +16,7 @@ from deepkoco.diagnose.residuals.residuals import MAX_CHI2_SD, white_limit
 from deepkoco.diagnose.run_to_run import RunToRun
 from deepkoco.diagnose.shorter_first import shorter_first
 from deepkoco.fit.data.halves import halved
+from deepkoco.fit.data.wander import Wander
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import ITERATIONS, Fit, FitProblem, Trial
 from deepkoco.fit.simulate.push import Push
@@ -71,6 +74,18 @@ class Healthy:
         return start, FitProblem(start.system, noisier(self.windows, 1.0, self.tempering))
 
 
+class Near(NamedTuple):
+    """What fits of some logs tell of further fits of the same recorder.
+
+    Attributes:
+        values: Parameters near those of the unit.
+        wander: Noise of the commands, without any window; None where the logs show none.
+    """
+
+    values: Mapping[str, float]
+    wander: Wander | None
+
+
 @dataclass(frozen=True)
 class Baseline:
     """Model, prior and floor from which a diagnosis starts.
@@ -93,6 +108,7 @@ class Baseline:
             the correlation is not part of it.
         early: Time by which the commands of its logs act before their rows [s]; see
             :mod:`deepkoco.diagnose.between_rows`.
+        near: What earlier fits of the logs have told, from which the next ones begin; None for none.
     """
 
     system: ExtendedSystem
@@ -109,6 +125,19 @@ class Baseline:
     roughness: float = 1.0
     narrowing: float = 1.0
     early: float = 0.0
+    near: Near | None = None
+
+    def begun(self) -> Baseline:
+        """Return it at the values that earlier fits of its own parameters have led to."""
+        near = {} if self.near is None else self.near.values
+        return replace(self, values={**self.values, **{n: near[n] for n in self.prior.names if n in near}})
+
+    @property
+    def wander(self) -> Wander | None:
+        """Noise that commands of its recorder are known to have, without any window; None where none is known."""
+        if self.healthy is not None and self.healthy.windows.wander is not None:
+            return self.healthy.windows.wander
+        return None if self.near is None else self.near.wander
 
     @property
     def least_deflation(self) -> float:
@@ -304,7 +333,10 @@ def first_refit(start: Baseline, windows: Windows) -> tuple[Windows, Fit]:
     Raises:
         DivergedError: The simulation diverges at the present values.
     """
-    names, problem_of = start.prior.names, partial(FitProblem, start.system)
+    start, names, problem_of = start.begun(), start.prior.names, partial(FitProblem, start.system)
+    if windows.wander is None:
+        # Without it, long windows find no minimum.
+        windows = with_noise_like(problem_of, windows, start.values, start.wander)
     first = from_shorter_windows(start, windows, names)
     chosen = few_windows(windows, len(names))
     halves = windows.valid[chosen].sum()
@@ -313,10 +345,8 @@ def first_refit(start: Baseline, windows: Windows) -> tuple[Windows, Fit]:
     state = windows.state.clone()
     state[torch.from_numpy(chosen)] = first.state[::2]
     if start.healthy is not None:
-        # The recorder is that of the healthy logs.
-        noisy = with_noise_like(problem_of, windows, first.values, start.healthy.windows)
-    else:
-        noisy = with_command_noise(problem_of, windows, first.values, state)
+        return windows, first  # the recorder is that of the healthy logs, which have shown no noise
+    noisy = with_command_noise(problem_of, windows, first.values, state)
     if noisy is windows:
         return windows, first
     return noisy, on_half_windows(replace(start, values=first.values), noisy, names)

@@ -11,13 +11,13 @@ from typing import NamedTuple
 import numpy as np
 
 from deepkoco.diagnose.as_engine import as_engine_if_shown, closest_of_logs
-from deepkoco.diagnose.baseline import Baseline, baseline_from, from_shorter_windows, on_half_windows
+from deepkoco.diagnose.baseline import Baseline, Near, baseline_from, from_shorter_windows, on_half_windows
 from deepkoco.diagnose.left_of_logs import NOISE
 from deepkoco.diagnose.residuals.residuals import white_limit
 from deepkoco.fit.data.halves import halved
 from deepkoco.fit.data.windows import Windows, cut_windows, moving
 from deepkoco.fit.fit import Fit, FitProblem
-from deepkoco.fit.solve.command_noise import with_command_noise
+from deepkoco.fit.solve.command_noise import with_command_noise, with_noise_like
 from deepkoco.fit.solve.dispersion import dispersion
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.logs.between_rows import changes_often, with_early_commands
@@ -41,10 +41,12 @@ class Read(NamedTuple):
     Attributes:
         system: The system as what made the logs simulates it.
         early: Time by which commands act before their rows [s].
+        near: What the fits that told this tell of further ones; None for nothing.
     """
 
     system: System
     early: float
+    near: Near | None = None
 
     def logs(self, recordings: Sequence[Recording]) -> list[Recording]:
         """Return logs with commands from the instants at which they act."""
@@ -66,24 +68,28 @@ def as_recorded(
     """
     if learned is not None:
         return Read(as_engine_if_shown(recordings, system, length, learned), learned.early)
-    held, left_of_held = closest_of_logs(recordings, system, length)
+    held, left_of_held, near = closest_of_logs(recordings, system, length)
+    as_held = Read(held, 0.0, near)
     if left_of_held is not None and held.engine is None and left_of_held.per_sample <= NOISE:
-        return Read(held, 0.0)
-    early = lead_of_commands(recordings, system, length)
+        return as_held
+    early = lead_of_commands(recordings, system, length, near)
     if early == 0.0:
-        return Read(held, 0.0)
+        return as_held
     moved = [with_early_commands(own, early) for own in recordings]
-    around, left_of_around = closest_of_logs(moved, system, length)
+    around, left_of_around, near_around = closest_of_logs(moved, system, length, near)
+    as_around = Read(around, early, near_around)
     log.debug("from their rows on %s, around them %s", left_of_held, left_of_around)
     if left_of_held is None or left_of_around is None:
-        return Read(around, early)
+        return as_around
     # The steps of an engine are chosen, too, and act as such a lead does. Both are asked on windows of their own.
     samples = left_of_held.cost / max(left_of_held.per_sample, 1e-12)
     gain = samples * (left_of_around.per_sample / max(left_of_held.per_sample, 1.0) - 1.0)
-    return Read(held, 0.0) if gain > CLEARLY else Read(around, early)
+    return as_held if gain > CLEARLY else as_around
 
 
-def lead_of_commands(recordings: Sequence[Recording], system: System, length: float) -> float:
+def lead_of_commands(
+    recordings: Sequence[Recording], system: System, length: float, near: Near | None = None
+) -> float:
     """Return the time [s] by which commands act before their rows; 0 where refits leave no less for it that counts.
 
     A lead of more than half a row is none of a faster controller: the stamps are late, which is another thing.
@@ -92,6 +98,7 @@ def lead_of_commands(recordings: Sequence[Recording], system: System, length: fl
         recordings: Logs of one recorder.
         system: The system.
         length: Of the windows [s].
+        near: What earlier fits of the logs have told; None for none.
     """
     windows = cut_windows(recordings, system, length)
     windows = windows.take(moving(windows)) if len(windows) else windows
@@ -103,7 +110,7 @@ def lead_of_commands(recordings: Sequence[Recording], system: System, length: fl
         return 0.0
     windows = windows.take(np.unique(np.linspace(0, len(windows) - 1, SOME).astype(int)))
     try:
-        return _lead(baseline_from(system, windows), windows, float(np.median(rows)))
+        return _lead(replace(baseline_from(system, windows), near=near), windows, float(np.median(rows)))
     except DivergedError:
         return 0.0
 
@@ -117,14 +124,18 @@ def _is_row_of_samples(recording: Recording) -> bool:
 
 def _lead(start: Baseline, windows: Windows, row: float) -> float:
     """Return the lead [s] of commands that are logged every row [s]."""
-    names = start.prior.names
-    held = from_shorter_windows(start, windows, names)
+    names, problem_of = start.prior.names, partial(FitProblem, start.system)
+    asked, start = start.near is not None, start.begun()
+    windows = with_noise_like(problem_of, windows, start.values, start.wander)
+    held = (on_half_windows if asked else from_shorter_windows)(start, windows, names)
     if held.chi2 <= white_limit(windows) * windows.samples:
         return 0.0
     start = replace(start, values={**start.values, **{n: held.values[n] for n in names}})
     state = windows.state.clone()
     state[:] = held.state[::2]
-    noisy = with_command_noise(partial(FitProblem, start.system), windows, held.values, state)
+    noisy = windows
+    if windows.wander is None:
+        noisy = with_command_noise(problem_of, windows, held.values, state)
     if noisy is not windows:
         # The same noise for all: what is left of each is then compared in the same measure.
         windows = noisy

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 
 from deepkoco.diagnose.baseline import (
     Baseline,
@@ -144,7 +145,7 @@ def diagnose(
         learned, unfitted = baseline, ()
         if learned is None and healthy:
             try:
-                learned = learn_as_simulated(healthy, base, length, progress, limit=limit)
+                learned = learn_as_simulated(healthy, base, length, progress, limit=limit, near=read.near)
             except DivergedError as error:
                 unfitted = (f"the healthy logs, which are left out ({error})",)
         if learned is not None:
@@ -154,6 +155,7 @@ def diagnose(
                 # The healthy logs may be of another unit, so their prior need not suit these logs.
                 unfitted = (f"these logs under the prior of the healthy logs, which are left out ({error})",)
         start = with_gauges_fixed(baseline_from(base, data.train), data.train)
+        start = start if healthy else replace(start, near=read.near)
         return _diagnosed(request, start, unfitted, window is not None)
 
 

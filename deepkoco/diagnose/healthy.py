@@ -12,6 +12,7 @@ from deepkoco.diagnose.baseline import (
     Baseline,
     BaselineError,
     Healthy,
+    Near,
     baseline_from,
     refit_sharply,
     with_gauges_fixed,
@@ -73,7 +74,8 @@ def learn_baseline(
     """
     recordings = [with_held_values(log) for log in recordings]
     read = as_recorded(recordings, system, length)
-    learned = learn_as_simulated(read.logs(recordings), read.system, length, progress, extension, limit)
+    logs = read.logs(recordings)
+    learned = learn_as_simulated(logs, read.system, length, progress, extension, limit, read.near)
     return replace(learned, early=read.early)
 
 
@@ -85,14 +87,20 @@ def learn_as_simulated(
     progress: Progress = silent,
     extension: int = LARGEST_EXTENSION,
     limit: TimeLimit | None = None,
+    near: Near | None = None,
 ) -> Baseline:
-    """As :func:`learn_baseline`, where it is known whether the logs are of a machine or of an engine."""
+    """As :func:`learn_baseline`, where it is known whether the logs are of a machine or of an engine.
+
+    Args:
+        recordings, system, length, progress, extension, limit: As there.
+        near: What earlier fits of the logs have told; None for none.
+    """
     limit = TimeLimit() if limit is None else limit
     try:
         # Every effect changes the floor, and only the last one counts.
-        return _learn(recordings, system, length, progress, extension, limit, False)
+        return _learn(recordings, system, length, progress, extension, limit, near, False)
     except FloorError:
-        return _learn(recordings, system, length, progress, extension, limit, True)
+        return _learn(recordings, system, length, progress, extension, limit, near, True)
 
 
 class FloorError(DivergedError):
@@ -106,12 +114,13 @@ def _learn(
     progress: Progress,
     extension: int,
     limit: TimeLimit,
+    near: Near | None,
     each: bool,
 ) -> Baseline:
     """As :func:`learn_baseline`.
 
     Args:
-        recordings, system, length, progress, extension, limit: As there.
+        recordings, system, length, progress, extension, limit, near: As for :func:`learn_as_simulated`.
         each: Whether the floor is computed after each effect, so that one with which a log diverges is left out.
 
     Raises:
@@ -120,8 +129,9 @@ def _learn(
     progress("healthy logs: refit")
     windows = cut_windows(recordings, system, length)
     windows = windows.take(moving(windows))
-    start = with_gauges_fixed(baseline_from(system, windows), windows)
+    start = replace(with_gauges_fixed(baseline_from(system, windows), windows), near=near)
     windows, fit = refit_sharply(start, windows)
+    start = replace(start, near=None)
     # Run-to-run variation could be mistaken for an effect that all logs show, and such an effect for variation.
     spread = spread_of(Healthy(tuple(recordings), windows, start, (), fit))
     spread, told = spread.with_floor() if each else spread, spread.healthy

@@ -10,13 +10,13 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from deepkoco.diagnose.baseline import Baseline, baseline_from, few_windows, on_half_windows
+from deepkoco.diagnose.baseline import Baseline, Near, baseline_from, few_windows, on_half_windows
 from deepkoco.diagnose.causes.timing import STARTS
 from deepkoco.fit.data.halves import halved
 from deepkoco.fit.data.own_steps import in_steps_of
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import ITERATIONS, Fit, FitProblem, Trial
-from deepkoco.fit.solve.command_noise import LEFT, with_command_noise
+from deepkoco.fit.solve.command_noise import LEFT, with_command_noise, with_noise_like
 from deepkoco.fit.solve.fine_steps import fine_steps, with_steps_cut
 from deepkoco.fit.solve.lazy_batch import MANY
 from deepkoco.fit.solve.scaled_inverse import DivergedError
@@ -58,11 +58,13 @@ class LeftOfLogs:
 
     Args:
         windows: The windows, cut for the robot as a machine.
+        near: What earlier fits of the logs have told; None for none.
     """
 
-    def __init__(self, windows: Windows) -> None:
+    def __init__(self, windows: Windows, near: Near | None = None) -> None:
         self.windows = windows
-        self._values: dict[str, float] = {}
+        self._near = near
+        self._values: dict[str, float] = {} if near is None else {**near.values}
         self._each = np.zeros(len(windows))  # chi2 per sample of each window that the last refit saw
         self._parts = 1  # of a step of the machine
 
@@ -74,15 +76,16 @@ class LeftOfLogs:
         """
         start, windows = self._start(law)
         names = start.prior.names
+        if self._near is not None and windows.wander is None:
+            problem_of = partial(FitProblem, start.system)
+            windows = self._kept_noise(with_noise_like(problem_of, windows, start.values, self._near.wander))
         fit = on_half_windows(start, windows, names, self._iterations(windows, names))
         if law.engine is None and windows.wander is None and fit.chi2 > NOISE * max(windows.samples, 1):
             state = windows.state.clone()
             state[torch.from_numpy(few_windows(windows, len(names)))] = fit.state[::2]
             noisy = with_command_noise(partial(FitProblem, start.system), windows, fit.values, state)
             if noisy is not windows:
-                # What noise of the commands does is nearly the same whatever the law.
-                self.windows = replace(self.windows, wander=noisy.wander, noise=noisy.noise)
-                windows = noisy
+                windows = self._kept_noise(noisy)
                 start = replace(start, values={**start.values, **{n: fit.values[n] for n in names}})
                 fit = on_half_windows(start, windows, names, self._iterations(windows, names))
         if law.engine is None and fit.chi2 > NOISE * max(windows.samples, 1):
@@ -103,6 +106,12 @@ class LeftOfLogs:
     def noise(self) -> float:
         """Noise variances that a simulation leaves of its own logs at most."""
         return NOISE if self.windows.wander is None else NOISE + LEFT
+
+    @property
+    def near(self) -> Near:
+        """What its fits tell of further ones."""
+        wander = self.windows.wander
+        return Near(self._values, None if wander is None else wander.take(torch.zeros(0, dtype=torch.long)))
 
     def undisturbed(self) -> Windows:
         """The windows of which no more is left than of most: in the others something happened, such as a push.
@@ -146,6 +155,11 @@ class LeftOfLogs:
     def _iterations(self, windows: Windows, names: Sequence[str]) -> int:
         many = len(names) + windows.state.shape[1] >= MANY
         return FURTHER if many and self._values else ITERATIONS
+
+    def _kept_noise(self, noisy: Windows) -> Windows:
+        """Keep the noise of the commands of windows, which does nearly the same whatever the law; return these."""
+        self.windows = replace(self.windows, commands=noisy.commands, wander=noisy.wander, noise=noisy.noise)
+        return noisy
 
     def _start(self, law: System) -> tuple[Baseline, Windows]:
         start = baseline_from(law, self.windows)

@@ -119,7 +119,7 @@ def refit_to_logs(learned: Baseline, data: Data) -> Refitted:
     if held is not None and train.wander is not None:
         # Its noise already contains what is not told from that of the sensors.
         noise = held.noise
-        held = with_noise_like(partial(FitProblem, start.system), held, reference.values, train)
+        held = with_noise_like(partial(FitProblem, start.system), held, reference.values, train.wander)
         held = replace(held, noise=noise)
     if held is not None and train.doubt is not None:
         # Whether something else happens in a held-out window is not known, but how well its channels are simulated is.

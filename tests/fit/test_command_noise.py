@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from deepkoco.diagnose.baseline import baseline_from, refit_sharply
+from deepkoco.diagnose.baseline import Near, baseline_from, refit_sharply
 from deepkoco.excitation.record import record
 from deepkoco.fit.data.halves import halved
 from deepkoco.fit.data.wander import Wander, compressed, joined
@@ -197,3 +197,24 @@ def test_halves_of_windows_have_the_noise_of_their_samples():
     kept = windows.valid[w, 0] & (windows.t[w, 0] >= 0.5 * windows.length)
     own = halves.valid[2 * w + 1, 0]
     torch.testing.assert_close(halves.wander.moves[2 * w + 1, 0][own], windows.wander.moves[w, 0][kept])
+
+
+def test_a_refit_begins_with_the_noise_and_the_values_that_are_known():
+    start, windows = windows_of(measured(log()))
+    found, fit = refit_sharply(start, windows)
+    assert found.wander is not None
+    known = Near(dict(fit.values), found.wander.take(torch.zeros(0, dtype=torch.long)))
+    off = {**start.values, "gravity_torque": 0.6 * start.values["gravity_torque"]}
+    again, refitted = refit_sharply(replace(start, values=off, near=known), windows)
+    assert again.wander is not None
+    assert again.wander.sd == found.wander.sd
+    sd = np.sqrt(np.diag(fit.covariance))
+    for name, spread in zip(fit.free, sd, strict=True):
+        assert refitted.values[name] == pytest.approx(fit.values[name], abs=0.1 * spread)
+
+
+def test_what_is_near_counts_for_the_free_parameters_alone():
+    start, _ = windows_of(log())
+    near = replace(start, near=Near({"gravity_torque": 2.0, "lag.time_constant": 0.3}, None)).begun()
+    assert near.values["gravity_torque"] == 2.0
+    assert near.values["lag.time_constant"] == start.values["lag.time_constant"]

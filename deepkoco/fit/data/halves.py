@@ -59,7 +59,7 @@ def _wander_of_halves(wander: Wander, orders: list[torch.Tensor], size: int) -> 
         wander.moves[k // 2].gather(1, order[:, :size, None].expand(-1, -1, wander.moves.shape[-1]))
         for k, order in enumerate(orders)
     ]
-    return Wander(wander.sd, torch.stack(moves))
+    return replace(wander, moves=torch.stack(moves))
 
 
 def _ways_of_halves(windows: Windows, half: float) -> torch.Tensor:

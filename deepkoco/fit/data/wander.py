@@ -12,7 +12,7 @@ Source: Aitken, On least squares and linear combination of observations (1935).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import torch
@@ -60,10 +60,13 @@ class Wander:
         sd: Standard deviation of the noise of each command, in its unit.
         moves: (W, N, M, K) moves of the measurements by one standard deviation of each of K pieces of noise, in the
             channels' units.
+        logged: Square root of the covariance of the noise of each command with the logged command, in its unit, see
+            :mod:`.likely_commands`.
     """
 
     sd: tuple[float, ...]
     moves: Tensor
+    logged: tuple[float, ...] = ()
     _made: dict[bytes, Whitening] = field(default_factory=dict, init=False, repr=False)
 
     def whitening(self, weight: Tensor) -> Whitening:
@@ -86,22 +89,22 @@ class Wander:
 
     def take(self, index: Tensor) -> Wander:
         """Select windows."""
-        return Wander(self.sd, self.moves[index])
+        return replace(self, moves=self.moves[index])
 
     def none(self, value: Tensor) -> Wander:
         """Return no moves of measurements (W, N, M)."""
-        return Wander(self.sd, torch.zeros(*value.shape, 1, dtype=torch.float64))
+        return replace(self, moves=torch.zeros(*value.shape, 1, dtype=torch.float64))
 
     def times(self, factor: float) -> Wander:
         """Return noise that is larger by a factor."""
-        return Wander(tuple(factor * sd for sd in self.sd), factor * self.moves)
+        return replace(self, sd=tuple(factor * sd for sd in self.sd), moves=factor * self.moves)
 
 
 def joined(a: Wander, b: Wander) -> Wander:
     """Return the noise of two sets of windows together."""
     most = max(a.moves.shape[-1], b.moves.shape[-1])
     moves = [torch.nn.functional.pad(own.moves, (0, most - own.moves.shape[-1])) for own in (a, b)]
-    return Wander(a.sd, torch.cat(moves))
+    return replace(a, moves=torch.cat(moves))
 
 
 def compressed(moves: Tensor, weight: Tensor, share: float, most: int) -> tuple[Tensor, Tensor]:

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from deepkoco.fit.data.likely_commands import likely_commands
 from deepkoco.fit.data.noise import estimate_noise
 from deepkoco.fit.data.series import CommandSeries
 from deepkoco.fit.data.wander import Wander, compressed
@@ -18,7 +19,7 @@ from deepkoco.fit.fit import FitProblem
 from deepkoco.fit.fit_types import Fit, Trial
 from deepkoco.fit.solve.noise_moves import moves_by_noise
 from deepkoco.fit.solve.prior import Prior
-from deepkoco.fit.solve.shown_noise import share_of_noise
+from deepkoco.fit.solve.shown_noise import shown_noise
 
 LEFT = 0.25  # noise variances of a typical sample that count as noise of the sensors
 MOST = 96  # pieces of noise that are told from it
@@ -44,40 +45,50 @@ def with_command_noise(
     fit = _simulation(problem_of(windows), values, state)
     if fit.diverged:
         return windows
-    share = share_of_noise(problem_of, windows, fit, most)
-    if share == 0.0:
+    shown = shown_noise(problem_of, windows, fit, most)
+    if shown.share == 0.0:
         return windows
-    return with_noise(problem_of, windows, fit, tuple(math.sqrt(share) * sd for sd in most))
+    sd, logged = (tuple(math.sqrt(share) * each for each in most) for share in shown)
+    return with_noise(problem_of, windows, fit, sd, logged)
 
 
 def with_noise(
-    problem_of: Callable[[Windows], FitProblem], windows: Windows, fit: Fit, sd: tuple[float, ...]
+    problem_of: Callable[[Windows], FitProblem],
+    windows: Windows,
+    fit: Fit,
+    sd: tuple[float, ...],
+    logged: tuple[float, ...],
 ) -> Windows:
-    """Return windows with what noise of the commands does to their measurements.
+    """Return windows with their most likely commands, and what the rest of the noise does to their measurements.
 
     Args:
         problem_of: Gives the problem of such windows.
         windows: The windows, with the noise of the sensors.
         fit: A simulation of them.
         sd: Standard deviation of the noise of each command, in its unit.
+        logged: Square root of its covariance with the logged command.
     """
+    windows = replace(windows, commands=tuple(likely_commands(c, logged) for c in windows.commands))
     moves = moves_by_noise(problem_of, windows, fit, sd)
     weight = windows.valid.to(torch.float64) / windows.sample_sd
     few, rest = compressed(moves, weight, LEFT, MOST)
     noise = tuple(
         n.with_simulated(variance) for n, variance in zip(windows.noise, rest.tolist(), strict=True)
     )
-    return replace(windows, noise=noise, wander=Wander(sd, few))
+    return replace(windows, noise=noise, wander=Wander(sd, few, logged))
 
 
 def with_noise_like(
-    problem_of: Callable[[Windows], FitProblem], windows: Windows, values: Mapping[str, float], like: Windows
+    problem_of: Callable[[Windows], FitProblem],
+    windows: Windows,
+    values: Mapping[str, float],
+    like: Wander | None,
 ) -> Windows:
     """Return windows with the noise of commands that others of the same recorder have, at some parameters."""
-    if like.wander is None or len(windows) == 0:
+    if like is None or len(windows) == 0:
         return windows
     fit = _simulation(problem_of(windows), values, windows.state)
-    return windows if fit.diverged else with_noise(problem_of, windows, fit, like.wander.sd)
+    return windows if fit.diverged else with_noise(problem_of, windows, fit, like.sd, like.logged)
 
 
 def _simulation(problem: FitProblem, values: Mapping[str, float], state: Tensor) -> Fit:

@@ -41,6 +41,7 @@ WIDE = 3.0  # variance by noise, of those of the sensors, from which a direction
 DIRECTIONS = 4  # of a place that are so wide, from which they show whether noise has made all of them alike
 # Times the largest noise of the logged commands, as a variance, that those have which no row shows.
 SMALLEST, LARGER = 0.2, 4.0
+CLEAR = 4.0  # squared slope in its standard deviations from which the log is believed to hold the noise
 FELT = 4.0  # rise of it from which the motor has felt the roughness of its command
 WIDER = 1.5  # step between the numbers of slow waves of a command, of which one is kept out of its roughness
 
@@ -64,10 +65,27 @@ class Answer(NamedTuple):
     spread: float
 
 
-def share_of_noise(
+class Shown(NamedTuple):
+    """Noise of the commands that a log shows.
+
+    Attributes:
+        share: Its variance, as a share of the largest noise of the commands.
+        logged: Its covariance with the logged commands, likewise.
+    """
+
+    share: float
+    logged: float
+
+    @classmethod
+    def nothing(cls) -> Shown:
+        """No noise."""
+        return cls(0.0, 0.0)
+
+
+def shown_noise(
     problem_of: Callable[[Windows], FitProblem], windows: Windows, fit: Fit, most: Sequence[float]
-) -> float:
-    """Return the most likely share of the largest noise of the commands, as a variance; 0 where none is believed.
+) -> Shown:
+    """Return the most likely noise of the commands; none where none is believed.
 
     Args:
         problem_of: Gives the problem of such windows.
@@ -81,7 +99,7 @@ def share_of_noise(
     # A stretch of samples in a row is one of time, too.
     shown = [c for c in shown if torch.equal(windows.t[:, c], windows.t[:, shown[0]])]
     if not shown:
-        return 0.0
+        return Shown.nothing()
     theta = np.array([float(fit.values[n]) for n in problem.names])
     tangent = Tangent.at(problem, theta, np.zeros(0, dtype=int), fit.state)
     states = tangent.slopes(simulated(problem, [tangent], fit.nuisance[None]), problem)  # (S, W, N, M)
@@ -89,11 +107,11 @@ def share_of_noise(
     answers = partial(_short_answers, problem_of, windows, fit, most, shown, states)
     # The longest stretches show the most: where they show nothing, shorter ones need not be asked.
     if not asked or not _tells(found := answers(asked[-1])):
-        return 0.0
+        return Shown.nothing()
+    seen = [found]
     share = _share_of_directions(found)
     if share is not None and share <= LARGER:
-        return share if share >= SMALLEST else 0.0
-    seen = [found]
+        return _shown(seen, share) if share >= SMALLEST else Shown.nothing()
     for short in asked[:-1]:
         seen.append(answers(short))
         if _tells(seen[-1], PLENTY):
@@ -101,11 +119,18 @@ def share_of_noise(
             break
     found = [own for own in found if own.width.any()]
     if max(_gain(found, share) for share in SHARES) < EVIDENCE:
-        return 0.0
+        return Shown.nothing()
     # Of noise of a share s, the mean power is 1 + s width. A model error is now larger and now smaller than that.
     told = [float(((own.power - 1.0) * own.width).sum() / (own.width**2).sum()) for own in found]
     share = min(float(np.median(told)), 1.0)
-    return share if share >= SHARES[0] and not _felt(seen, share) else 0.0
+    return _shown(seen, share) if share >= SHARES[0] and not _felt(seen, share) else Shown.nothing()
+
+
+def _shown(seen: list[list[Answer]], share: float) -> Shown:
+    """Return noise of this share, and which share of the roughness of the logged commands it is."""
+    slope, information = _slope(seen)
+    told = -slope if slope < 0.0 and slope**2 * information > CLEAR else 0.0
+    return Shown(share, min(told, 1.0, math.sqrt(share)))
 
 
 def _share_of_directions(answers: list[Answer]) -> float | None:
@@ -155,14 +180,19 @@ def _felt(seen: list[list[Answer]], share: float) -> bool:
         seen: Answers of stretches of different lengths; the one that knows most counts.
         share: Share of the variance.
     """
+    slope, information = _slope(seen)
+    return ((slope + share) ** 2 - slope**2) * information > FELT
+
+
+def _slope(seen: list[list[Answer]]) -> tuple[float, float]:
+    """Return by which share of the roughness of the commands more of it was felt, and the information of that."""
     known = [
         np.array([(own.along, own.whole, own.spread) for own in each if own.spread > 0.0]).reshape(-1, 3).T
         for each in seen
     ]
     along, whole, spread = max(known, key=lambda each: float((each[1] ** 2 / each[2]).sum()))
     information = float((whole**2 / spread).sum())
-    slope = float((along * whole / spread).sum()) / max(information, EARLY)
-    return ((slope + share) ** 2 - slope**2) * information > FELT
+    return float((along * whole / spread).sum()) / max(information, EARLY), information
 
 
 def _short_answers(
@@ -177,7 +207,7 @@ def _short_answers(
     """Return what some samples in a row say at each place, without what their state and a smooth load explain.
 
     Args:
-        problem_of, windows, fit, most: As for :func:`share_of_noise`.
+        problem_of, windows, fit, most: As for :func:`shown_noise`.
         shown: Channels that count.
         states: (S, W, N, M) weighted moves by the initial states.
         short: How many samples.
