@@ -145,7 +145,8 @@ def _learn(
             break
         progress(f"healthy logs: fitting every cause{in_company_of(c.name for c in accepted)}")
         hints = Hints(start.system, windows, missing_torque(problem, fit), fit.chi2 / windows.samples)
-        ranking = rank(problem, counted, fit, accepted, hints, causes)
+        # Small effects are sought, and none drives a refit far away.
+        ranking = rank(problem, counted, fit, accepted, hints, causes, far=False)
         if ranking.best.delta_bic < DETECTION:
             break
         ranking = front_settled(problem, counted, accepted, ranking)
