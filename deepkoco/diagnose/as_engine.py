@@ -24,7 +24,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from deepkoco.diagnose.baseline import Baseline, Near
-from deepkoco.diagnose.left_of_logs import LESS, NOISE, Left, LeftOfLogs
+from deepkoco.diagnose.left_of_logs import FAR, LESS, NOISE, Left, LeftOfLogs
 from deepkoco.fit.data.own_steps import nearest_own_step
 from deepkoco.fit.data.windows import cut_windows, estimate_channels, moving
 from deepkoco.fit.solve.lazy_batch import MANY
@@ -37,7 +37,6 @@ SOME, FEW = 16, 6  # windows that decide, and those that do where a fit has many
 # Noise variances that a simulation by the engine leaves of its own logs at most. A real robot that its file describes
 # badly leaves hundreds with either law, and which of two refits ends lower says nothing of friction.
 NEAR = 10.0
-FAR = 1000.0  # noise variances, from which the logs say nothing of steps either
 LATE = 0.1  # share that a delay of all commands leaves, where it hides the steps of an engine
 LONGEST = 4.0  # step that a parabola may lead to, over the longest of its three
 SHARES = (0.5, 0.125)  # of the usual step, which are tried first
@@ -105,13 +104,13 @@ def closest_of_logs(
     try:
         held = left(system)
         if len(quiet := left.undisturbed()) < len(windows):
-            left = LeftOfLogs(quiet, left.near)
+            left = LeftOfLogs(quiet, left.near(system, held), left.logged)
             held = left(system)
         law, leaves = closest(system, left, nearest, held=held, noise=left.noise)
     except DivergedError:
         return Closest(system)
     if not left.noise < leaves.per_sample <= FAR:
-        return Closest(law, leaves, left.near)
+        return Closest(law, leaves, left.near(law, leaves))
     with contextlib.suppress(DivergedError):
         # Late commands hide that an engine has them early.
         late = left.late(system, held)
@@ -119,7 +118,7 @@ def closest_of_logs(
             other, leaves_late = closest(system, left.late, nearest, NOISE, late, left.noise)
             if other.engine is not None:
                 law, leaves = other, leaves_late
-    return Closest(law, leaves, left.near)
+    return Closest(law, leaves, left.near(law, leaves))
 
 
 def closest(

@@ -29,6 +29,7 @@ from deepkoco.fit.solve.lazy_batch import MANY
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.solve.residual_noise import with_sharp_noise
 from deepkoco.fit.solve.rounded_commands import with_rounded_commands
+from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import ExtendedSystem, System
 from deepkoco.systems.effects import effects_of
@@ -134,7 +135,7 @@ class Baseline:
 
     @property
     def wander(self) -> Wander | None:
-        """Noise that commands of its recorder are known to have, without any window; None where none is known."""
+        """Noise that commands of its recorder are known to have; None where none is known."""
         if self.healthy is not None and self.healthy.windows.wander is not None:
             return self.healthy.windows.wander
         return None if self.near is None else self.near.wander
@@ -328,12 +329,21 @@ def first_refit(start: Baseline, windows: Windows) -> tuple[Windows, Fit]:
         windows: The windows.
 
     Returns:
-        The windows, with what noise of the commands does to them, and the fit on the half windows.
+        The windows, with their most likely commands and what noise of these does, and the fit on the half windows.
 
     Raises:
         DivergedError: The simulation diverges at the present values.
     """
-    start, names, problem_of = start.begun(), start.prior.names, partial(FitProblem, start.system)
+    if start.near is not None:
+        try:
+            return _first_refit(start.begun(), windows)
+        except DivergedError:
+            start = replace(start, near=None)
+    return _first_refit(start, windows)
+
+
+def _first_refit(start: Baseline, windows: Windows) -> tuple[Windows, Fit]:
+    names, problem_of = start.prior.names, partial(FitProblem, start.system)
     if windows.wander is None:
         # Without it, long windows find no minimum.
         windows = with_noise_like(problem_of, windows, start.values, start.wander)
@@ -345,7 +355,8 @@ def first_refit(start: Baseline, windows: Windows) -> tuple[Windows, Fit]:
     state = windows.state.clone()
     state[torch.from_numpy(chosen)] = first.state[::2]
     if start.healthy is not None:
-        return windows, first  # the recorder is that of the healthy logs, which have shown no noise
+        # The recorder is that of the healthy logs. At their values, whole windows may run away.
+        return with_noise_like(problem_of, windows, first.values, start.wander), first
     noisy = with_command_noise(problem_of, windows, first.values, state)
     if noisy is windows:
         return windows, first

@@ -146,7 +146,7 @@ def _learn(
         progress(f"healthy logs: fitting every cause{in_company_of(c.name for c in accepted)}")
         hints = Hints(start.system, windows, missing_torque(problem, fit), fit.chi2 / windows.samples)
         # Small effects are sought, and none drives a refit far away.
-        ranking = rank(problem, counted, fit, accepted, hints, causes, far=False)
+        ranking = rank(problem, counted, fit, accepted, hints, causes, strong=False)
         if ranking.best.delta_bic < DETECTION:
             break
         ranking = front_settled(problem, counted, accepted, ranking)

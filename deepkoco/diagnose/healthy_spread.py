@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepkoco.diagnose.baseline import Healthy
+from deepkoco.diagnose.baseline import Healthy, refit
 from deepkoco.diagnose.evidence.priors import freed, prior_with
 from deepkoco.diagnose.evidence.selection import PATIENCE
 from deepkoco.diagnose.per_log_refits import ROUNDS, SETTLED, run_to_run, with_floor
@@ -35,9 +35,11 @@ def jointly_fitted(healthy: Healthy) -> Healthy:
         again = replace(healthy, tempering=wanted)
         counted, problem = again.counted()
         try:
-            # Another weight of the prior moves the same minimum.
+            # Another weight of the prior mostly moves the same minimum.
             trial = freed(problem, counted, healthy.causes, healthy.fit, healthy.fit.values)
             fit = problem.fit_one(trial, PATIENCE)
+            if (healthy.fit.stuck or fit.stuck) and not (healthy.causes or healthy.windows.varies):
+                fit = min(fit, refit(counted, problem.windows), key=lambda own: own.cost)
         except DivergedError:
             break  # the fit under the declared prior stays
         healthy = replace(again, fit=fit)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -14,7 +14,7 @@ from deepkoco.diagnose.baseline import Baseline, Near, baseline_from, few_window
 from deepkoco.diagnose.causes.timing import STARTS
 from deepkoco.fit.data.halves import halved
 from deepkoco.fit.data.own_steps import in_steps_of
-from deepkoco.fit.data.windows import Windows
+from deepkoco.fit.data.windows import CommandSeries, Windows
 from deepkoco.fit.fit import ITERATIONS, Fit, FitProblem, Trial
 from deepkoco.fit.solve.command_noise import LEFT, with_command_noise, with_noise_like
 from deepkoco.fit.solve.fine_steps import fine_steps, with_steps_cut
@@ -30,6 +30,7 @@ MARGIN = 10.0
 LESS = 0.5
 # Times what is left of most windows, from which something happened in one: a model error differs less between them.
 STANDS_OUT = 10.0
+FAR = 1000.0  # noise variances from which a fit has not come near the logs
 NOISE = 1.2  # noise variances that a simulation leaves of its own logs
 # Iterations of further fits of many parameters. Each begins where the one before ended, and other steps change little.
 # A robot that its file describes badly would go on for long. The first of them show whether a delay matters.
@@ -43,10 +44,16 @@ class Left(NamedTuple):
     Attributes:
         cost: chi2 and squared distance from the prior.
         per_sample: chi2 of one sample.
+        values: Parameters of the simulation; None where nobody needs them.
     """
 
     cost: float
     per_sample: float
+    values: Mapping[str, float] | None = None
+
+    def __str__(self) -> str:
+        """What is left, without the parameters."""
+        return f"{self.cost:.6g} ({self.per_sample:.4g} a sample)"
 
     def less_than(self, other: Left) -> bool:
         """Whether it leaves so much less than another that this counts."""
@@ -59,10 +66,13 @@ class LeftOfLogs:
     Args:
         windows: The windows, cut for the robot as a machine.
         near: What earlier fits of the logs have told; None for none.
+        logged: Their commands as logged; None for those of the windows.
     """
 
-    def __init__(self, windows: Windows, near: Near | None = None) -> None:
-        self.windows = windows
+    def __init__(
+        self, windows: Windows, near: Near | None = None, logged: tuple[CommandSeries, ...] | None = None
+    ) -> None:
+        self.windows, self.logged = windows, windows.commands if logged is None else logged
         self._near = near
         self._values: dict[str, float] = {} if near is None else {**near.values}
         self._each = np.zeros(len(windows))  # chi2 per sample of each window that the last refit saw
@@ -107,11 +117,26 @@ class LeftOfLogs:
         """Noise variances that a simulation leaves of its own logs at most."""
         return NOISE if self.windows.wander is None else NOISE + LEFT
 
-    @property
-    def near(self) -> Near:
-        """What its fits tell of further ones."""
+    def near(self, law: System, left: Left) -> Near | None:
+        """Return what the fit of a law tells of further ones; None where it has not come near the logs.
+
+        Args:
+            law: The robot, as a machine or by an engine.
+            left: What it leaves.
+        """
+        if left.values is None or left.per_sample > FAR:
+            return None
+        known = {n: v for n, v in left.values.items() if n not in DELAYS}
         wander = self.windows.wander
-        return Near(self._values, None if wander is None else wander.take(torch.zeros(0, dtype=torch.long)))
+        if wander is not None and law.engine is not None:
+            # It was found beside a machine. What an engine does otherwise could be taken for it.
+            windows = in_steps_of(replace(self.windows, commands=self.logged, wander=None), law)
+            start = baseline_from(law, windows)
+            values = {**start.values, **known}
+            wander = with_command_noise(
+                partial(FitProblem, start.system), windows, values, windows.state
+            ).wander
+        return Near(known, None if wander is None else wander.take(torch.zeros(0, dtype=torch.long)))
 
     def undisturbed(self) -> Windows:
         """The windows of which no more is left than of most: in the others something happened, such as a push.
@@ -169,4 +194,4 @@ class LeftOfLogs:
 
     def _kept(self, fit: Fit, names: tuple[str, ...]) -> Left:
         self._values.update({name: fit.values[name] for name in names})
-        return Left(fit.cost, fit.chi2 / max(self.windows.samples, 1))
+        return Left(fit.cost, fit.chi2 / max(self.windows.samples, 1), dict(self._values))

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from deepkoco.diagnose.baseline import baseline_from, refit_sharply
 from deepkoco.excitation.record import record
-from deepkoco.fit.data.likely_commands import likely_commands
+from deepkoco.fit.data.likely_commands import _response, likely_commands
 from deepkoco.fit.data.series import CommandSeries
 from deepkoco.fit.data.windows import cut_windows, moving
 from deepkoco.fit.fit import FitProblem
@@ -36,7 +36,7 @@ def rms(x):
 def test_most_of_the_noise_of_a_smooth_command_is_taken_out():
     t, value = smooth()
     noise = SD * np.random.default_rng(0).standard_normal(len(t))
-    found = likely_commands(CommandSeries(t, value + noise), (SD,)).value
+    found = likely_commands([CommandSeries(t, value + noise)], (SD,))[0].value
     assert rms(found - value) < 0.35 * SD
     # Its slow part stays as it is, at both ends, too.
     assert abs(np.mean(found - value - noise)) < 0.05 * SD
@@ -52,7 +52,7 @@ def test_what_stays_of_the_noise_is_independent_of_the_commands_that_are_left():
     for k in range(1, len(t)):
         acted[k] = 0.95 * acted[k - 1] + 0.2 * rng.standard_normal()
     logged = acted + SD * rng.standard_normal(len(t))
-    left = likely_commands(CommandSeries(t, logged), (SD,)).value
+    left = likely_commands([CommandSeries(t, logged)], (SD,))[0].value
     # The slope of what acted over what is left is 1, over what was logged less.
     assert np.polyfit(left, acted, 1)[0] == pytest.approx(1.0, abs=0.03)
     assert np.polyfit(logged, acted, 1)[0] < 0.85
@@ -63,7 +63,7 @@ def test_what_stays_of_the_noise_is_independent_of_the_commands_that_are_left():
 def test_noise_that_the_log_does_not_hold_stays_in_no_command():
     t, value = smooth()
     both = np.column_stack([value, value**2])
-    found = likely_commands(CommandSeries(t, both), (0.0, 0.0)).value
+    found = likely_commands([CommandSeries(t, both)], (0.0, 0.0))[0].value
     np.testing.assert_array_equal(found, both)
 
 
@@ -71,7 +71,7 @@ def test_rows_that_repeat_a_command_repeat_what_is_left_of_it():
     t, value = smooth(8000)
     held = np.repeat(value[::4] + SD * np.random.default_rng(2).standard_normal(2000), 4)
     # Noise of four rows does as much as twice that of independent ones.
-    found = likely_commands(CommandSeries(t, held), (2.0 * SD,)).value
+    found = likely_commands([CommandSeries(t, held)], (2.0 * SD,))[0].value
     assert not np.diff(found.reshape(-1, 4), axis=1).any()
     assert rms(found - np.repeat(value[::4], 4)) < 0.45 * SD
 
@@ -80,9 +80,50 @@ def test_rows_that_repeat_a_command_repeat_what_is_left_of_it():
 def test_short_logs_keep_finite_commands(n, told):
     rng = np.random.default_rng(n)
     value = rng.standard_normal(n)
-    found = likely_commands(CommandSeries(np.arange(n) * 0.01, value), (told,)).value
+    found = likely_commands([CommandSeries(np.arange(n) * 0.01, value)], (told,))[0].value
     assert found.shape == value.shape
     assert np.isfinite(found).all()
+
+
+@pytest.mark.parametrize("rest", [0.0, -5.0])
+def test_a_rest_and_a_limit_are_exact(rest):
+    t, value = smooth()
+    noisy = np.clip(value + SD * np.random.default_rng(3).standard_normal(len(t)), -2.5, 4.0)
+    noisy[1000:2000] = rest
+    found = likely_commands([CommandSeries(t, noisy)], (SD,))[0].value
+    np.testing.assert_array_equal(found[1000:2000], rest)
+    limit = np.flatnonzero(
+        (np.abs(noisy[1:-1]) == 4.0) & (noisy[:-2] == noisy[2:]) & (noisy[1:-1] == noisy[2:])
+    )
+    at = limit[np.convolve(np.isin(np.arange(len(t)), limit), np.ones(5), "same")[limit] == 5.0] + 1
+    assert len(at) > 20
+    np.testing.assert_array_equal(found[at], noisy[at])
+
+
+@pytest.mark.parametrize("n", [128, 400, 4000])
+def test_the_mean_of_a_command_stays(n):
+    t, value = smooth(n)
+    for seed in range(5):
+        noise = SD * np.random.default_rng(seed).standard_normal(n)
+        found = likely_commands([CommandSeries(t, 10.0 + value + noise)], (SD,))[0].value
+        assert abs(np.mean(found - 10.0 - value - noise)) < 0.02
+
+
+def test_noise_of_the_highest_frequency_counts_as_that_of_others():
+    noise = np.random.default_rng(4).standard_normal(4000)
+    told = np.sqrt(0.3)
+    response = _response([noise], told**2, 256)
+    share = np.fft.rfft(np.concatenate([response, response[-2:0:-1]])).real
+    np.testing.assert_allclose(share[20:-1].mean(), 0.3, rtol=0.1)
+    assert share[-1] == pytest.approx(0.3, rel=0.5)
+
+
+def test_short_logs_take_the_spectrum_from_all_of_them():
+    t, value = smooth(600)
+    noise = SD * np.random.default_rng(6).standard_normal(len(t))
+    logs = [CommandSeries(t[k : k + 60], (value + noise)[k : k + 60]) for k in range(0, 600, 60)]
+    found = likely_commands(logs, (SD,))
+    assert rms(np.concatenate([own.value for own in found]) - value) < 0.6 * SD
 
 
 @cache

@@ -71,7 +71,7 @@ def rank(
     worth: float = 0.0,
     wanted: float = 0.0,
     cross: bool = False,
-    far: bool = True,
+    strong: bool = True,
 ) -> Ranking:
     """Fit each promising cause on top of a reference and rank them by the BIC.
 
@@ -89,7 +89,7 @@ def rank(
         wanted: Fall of the BIC from which a cause is named; there is no second round of fits where slopes tell that
             none can be.
         cross: Whether candidates and reference are also fitted from each other's optimum (:mod:`.crossed`).
-        far: Whether a cause may be so strong that it drives the reference far from the true parameters.
+        strong: Whether a cause may be so strong that it drives the reference far from the true parameters.
     """
     everything = [*catalogue(problem.system.base).values()] if causes is None else causes
     everything = with_freed_positions(problem, reference, everything)
@@ -152,7 +152,7 @@ def rank(
         trials += of_slips
         fits = fit_best(problem, trials, reference, worth=worth)
     # With a tempered prior, the values as given are known to be no place from which anything can be told.
-    far_away = far and start.tempering == 1.0 and strained(problem, start, reference, not accepted)
+    far_away = strong and start.tempering == 1.0 and strained(problem, start, reference, not accepted)
     if far_away and many:
         # It takes most of the time there. With few parameters it is cheap, and completes the class of the best cause.
         gained = {n: reference.cost - f.cost for n, f in fits.items() if not f.diverged}
@@ -251,7 +251,7 @@ def rank(
     if crosses and (gains_elsewhere(start, ranking) if many else leaves_more(problem, start, ranking)):
         better = better_reference(problem, start, accepted, ranking, 1 if many else FRONT)
         if better is not None and at_another_place(ranking, better):
-            return rank(problem, start, better, accepted, hints, causes, limit, worth, wanted, far=far)
+            return rank(problem, start, better, accepted, hints, causes, limit, worth, wanted, strong=strong)
         if better is not None:
             # What a cause promised beside the old reference, the better one has in part.
             won = reference.cost - better.cost

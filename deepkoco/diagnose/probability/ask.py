@@ -8,7 +8,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from deepkoco.diagnose.baseline import Baseline, Healthy, baseline_from, refit_sharply, with_gauges_fixed
+from deepkoco.diagnose.baseline import (
+    Baseline,
+    Healthy,
+    Near,
+    baseline_from,
+    refit_sharply,
+    with_gauges_fixed,
+)
 from deepkoco.diagnose.causes import catalogue, causes_named, measured_channels, shown_causes
 from deepkoco.diagnose.data import cut_data
 from deepkoco.diagnose.probability.answer import Answer
@@ -61,7 +68,9 @@ def evidence_of(
             unit = None
         else:
             told = _healthy([with_held_values(log) for log in read_logs(healthy, base)], base, length)
-            start, unit = told.before, learned_unit(told, causes)
+            # The recorder is that of the healthy logs.
+            start = replace(told.before, near=Near({}, told.windows.wander))
+            unit = learned_unit(told, causes)
         windows, reference = refit_sharply(start, data.train)
         problem = FitProblem(start.system, windows)
         answer = probabilities(problem, reference, start, causes, unit)

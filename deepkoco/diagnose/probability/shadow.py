@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from deepkoco.diagnose.baseline import Baseline, refit_sharply
+from deepkoco.diagnose.baseline import Baseline, Near, refit_sharply
 from deepkoco.diagnose.causes import Cause, is_changed
 from deepkoco.diagnose.data_sheet import guessed, with_usual_spread
 from deepkoco.diagnose.diagnosis import Diagnosis
@@ -103,7 +103,9 @@ def weighing_of(request: DiagnosisRequest, base: Refitted, acted: Windows | None
     if healthy is None:
         problem, reference = _acting(base.problem, base.reference, base.start, acted)
         return weighing(problem, reference, base.start, causes)
-    windows, reference = refit_sharply(healthy.before, request.data.train)
+    # The recorder is that of the healthy logs.
+    before = replace(healthy.before, near=Near({}, healthy.windows.wander))
+    windows, reference = refit_sharply(before, request.data.train)
     problem = FitProblem(healthy.before.system, windows)
     problem, reference = _acting(problem, reference, healthy.before, acted)
     return weighing(problem, reference, healthy.before, causes, learned_unit(healthy, causes))

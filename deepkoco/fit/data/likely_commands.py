@@ -13,6 +13,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from scipy.signal import oaconvolve, welch
@@ -21,38 +23,83 @@ from deepkoco.fit.data.series import CommandSeries
 
 SEGMENT, SHORTEST = 256, 32  # commands whose spectrum is taken
 SEGMENTS = 4  # of them at least that show a spectrum
+HELD = 4.0  # times the usual rows of a command, from which it is exact: a rest, or a limit
 
 
-def likely_commands(command: CommandSeries, logged: Sequence[float]) -> CommandSeries:
-    """Return the most likely commands of a log.
+class _Piece(NamedTuple):
+    """Commands that change all the time.
+
+    Attributes:
+        value: Each of them once.
+        rows: (n + 1,) row from which each of them is held, and the row behind the last one.
+    """
+
+    value: np.ndarray
+    rows: np.ndarray
+
+
+def likely_commands(commands: Sequence[CommandSeries], logged: Sequence[float]) -> tuple[CommandSeries, ...]:
+    """Return the most likely commands of logs of one recorder.
 
     Args:
-        command: As logged.
+        commands: As logged.
         logged: Square root of the covariance of the noise of each command that no motor felt with the logged command,
             as independent noise of each row, in its unit; 0 where the log does not hold the noise.
     """
-    value = np.array(command.value, dtype=float)
+    values = [np.array(command.value, dtype=float) for command in commands]
     for index, told in enumerate(logged):
-        column = value if value.ndim == 1 else value[:, index]
-        changes = np.append(0, np.flatnonzero(np.diff(column) != 0.0) + 1)
-        segment = min(len(changes) // SEGMENTS, SEGMENT) // 2 * 2
-        if told == 0.0 or segment < SHORTEST:
+        columns = [value if value.ndim == 1 else value[:, index] for value in values]
+        held = max(float(np.median(np.concatenate([_lengths(own) for own in columns]))), 1.0)
+        pieces = [_pieces(own, HELD * held) for own in columns]
+        listed = [piece.value for own in pieces for piece in own]
+        segment = _segment(listed)
+        if told == 0.0 or segment == 0:
             continue
         # Rows that repeat a command repeat its noise.
-        held = max(float(np.median(np.diff(changes))), 1.0)
-        likely = column[changes] - _noise(column[changes], told**2 / held, segment)
-        column[:] = np.repeat(likely, np.diff(np.append(changes, len(column))))
-    return replace(command, value=value)
+        response = _response(listed, told**2 / held, segment)
+        for own, some in zip(columns, pieces, strict=True):
+            for piece in some:
+                left = piece.value - _filtered(piece.value, response)
+                own[piece.rows[0] : piece.rows[-1]] = np.repeat(left, np.diff(piece.rows))
+    return tuple(replace(own, value=value) for own, value in zip(commands, values, strict=True))
 
 
-def _noise(value: np.ndarray, covariance: float, segment: int) -> np.ndarray:
-    """Return the most likely noise in values, by spectra of segments."""
-    _, power = welch(value, nperseg=segment, detrend="linear")
+def _lengths(column: np.ndarray) -> np.ndarray:
+    """Return how many rows hold each command in turn."""
+    return np.diff(np.concatenate([[0], np.flatnonzero(np.diff(column) != 0.0) + 1, [len(column)]]))
+
+
+def _pieces(column: np.ndarray, longest: float) -> list[_Piece]:
+    """Return the commands between those that are held for more rows than ``longest``."""
+    rows = np.concatenate([[0], np.cumsum(_lengths(column))])
+    exact = np.flatnonzero(np.diff(rows) > longest)
+    edges = np.concatenate([[-1], exact, [len(rows) - 1]])
+    found = [(int(a) + 1, int(b)) for a, b in pairwise(edges)]
+    return [_Piece(column[rows[a:b]], rows[a : b + 1]) for a, b in found if b - a >= SHORTEST // 2]
+
+
+def _segment(pieces: Sequence[np.ndarray]) -> int:
+    """Return the even number of commands whose spectrum these pieces show; 0 where they show none."""
+    total, longest = sum(map(len, pieces)), max(map(len, pieces), default=0)
+    segment = min(total // SEGMENTS, longest, SEGMENT) // 2 * 2
+    return segment if segment >= SHORTEST else 0
+
+
+def _response(pieces: Sequence[np.ndarray], covariance: float, segment: int) -> np.ndarray:
+    """Return the later half of the impulse response of no phase that leaves the most likely noise of a command."""
+    long = [own for own in pieces if len(own) >= segment]
+    spectra = np.array([welch(own, nperseg=segment, detrend="linear")[1] for own in long])
+    power = np.average(spectra, axis=0, weights=[len(own) for own in long])
+    power[-1] *= 2.0  # a spectrum of one side has the highest frequency once
     share = 2.0 * covariance / np.maximum(power, 2.0 * covariance)
     share[:2] = 0.0  # the segments have no mean and no slope
-    response = np.fft.irfft(share)[: len(share) - 1]
-    # Values go on beyond their ends as they came, turned by half a circle.
-    wide = len(response) - 1
-    before, after = 2.0 * value[0] - value[wide:0:-1], 2.0 * value[-1] - value[-2 : -wide - 2 : -1]
+    response = np.fft.irfft(share)[: len(share)]
+    response[-1] *= 0.5  # it is of both sides
+    return response
+
+
+def _filtered(value: np.ndarray, response: np.ndarray) -> np.ndarray:
+    """Return values behind a filter; they go on beyond their ends as they came, turned by half a circle."""
+    beyond = np.pad(value, len(response) - 1, mode="reflect", reflect_type="odd")
     both = np.concatenate([response[:0:-1], response])
-    return oaconvolve(np.concatenate([before, value, after]), both, mode="valid")
+    return oaconvolve(beyond, both, mode="valid")

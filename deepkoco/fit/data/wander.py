@@ -5,7 +5,8 @@ the unit by far more than a good encoder shows, whatever its parameters are: 2 N
 2 mm within a second. Errors of neighbouring samples are then nearly the same, and least squares with independent errors
 is neither efficient nor calibrated. With noise e of the sensors and G w of the commands, the residuals have the
 covariance I + G G', in noise variances; whitened by its inverse square root, they are independent again. The symmetric
-root changes no sample more than it must.
+root changes no sample more than it must. What the log itself tells of the noise is taken out of the commands
+(:mod:`.likely_commands`).
 
 Source: Aitken, On least squares and linear combination of observations (1935).
 """

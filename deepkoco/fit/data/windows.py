@@ -44,7 +44,7 @@ class Windows:
     """W windows of one length, from one or several logs of one system.
 
     Attributes:
-        commands: Command series of each log.
+        commands: Command series of each log: the most likely ones where ``wander`` says that rows hold noise.
         log: (W,) index of the window's log.
         t0: (W,) start in its log's time [s].
         step: Integration step [s].
@@ -66,7 +66,7 @@ class Windows:
             their place [s], see :mod:`.even_stamps`; empty where none did.
         own_steps: Whether the integration steps are the system's own, which nobody cuts: :attr:`.System.own_step`.
         doubt: (W, N) factor of the noise of a channel in a window, at least 1; None for 1. See :mod:`..solve.robust`.
-        wander: What noise of the commands does to the measurements; None where they are exact. See :mod:`.wander`.
+        wander: What noise of the commands does to the measurements; None where they act as logged. See :mod:`.wander`.
     """
 
     commands: tuple[CommandSeries, ...]

@@ -28,7 +28,7 @@ MOST = 96  # pieces of noise that are told from it
 def with_command_noise(
     problem_of: Callable[[Windows], FitProblem], windows: Windows, values: Mapping[str, float], state: Tensor
 ) -> Windows:
-    """Return windows with what noise of the commands does to their measurements, where these have noise.
+    """Return windows with their most likely commands and what noise of these does, where they have noise.
 
     Args:
         problem_of: Gives the problem of such windows.
@@ -59,7 +59,9 @@ def with_noise(
     sd: tuple[float, ...],
     logged: tuple[float, ...],
 ) -> Windows:
-    """Return windows with their most likely commands, and what the rest of the noise does to their measurements.
+    """Return windows with their most likely commands, and what noise of their size does to the measurements.
+
+    All of the noise counts, also what the log tells of it: that is little of what matters, the slow part.
 
     Args:
         problem_of: Gives the problem of such windows.
@@ -68,7 +70,7 @@ def with_noise(
         sd: Standard deviation of the noise of each command, in its unit.
         logged: Square root of its covariance with the logged command.
     """
-    windows = replace(windows, commands=tuple(likely_commands(c, logged) for c in windows.commands))
+    windows = replace(windows, commands=likely_commands(windows.commands, logged))
     moves = moves_by_noise(problem_of, windows, fit, sd)
     weight = windows.valid.to(torch.float64) / windows.sample_sd
     few, rest = compressed(moves, weight, LEFT, MOST)
