@@ -1,35 +1,24 @@
-"""Baseline: the system as given, and its refit within the priors of its own parameters."""
+"""Baseline: the system as given, or as healthy logs have taught it, with the priors of its own parameters."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-import torch
 
 from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.residuals.residuals import MAX_CHI2_SD, white_limit
 from deepkoco.diagnose.run_to_run import RunToRun
-from deepkoco.diagnose.shorter_first import shorter_first
-from deepkoco.fit.data.halves import halved
 from deepkoco.fit.data.wander import Wander
 from deepkoco.fit.data.windows import Windows
-from deepkoco.fit.fit import ITERATIONS, Fit, FitProblem, Trial
+from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.simulate.push import Push
-from deepkoco.fit.solve.command_noise import with_command_noise, with_noise_like
 from deepkoco.fit.solve.dispersion import dispersion
-from deepkoco.fit.solve.fine_steps import MOST, STEP_ROUNDS, fine_steps, with_steps_cut
 from deepkoco.fit.solve.gauges import Gauge, scale_gauges
-from deepkoco.fit.solve.guessed_commands import with_lost_rows_fitted
-from deepkoco.fit.solve.lazy_batch import MANY
 from deepkoco.fit.solve.prior import Prior
-from deepkoco.fit.solve.residual_noise import with_sharp_noise
-from deepkoco.fit.solve.rounded_commands import with_rounded_commands
-from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import ExtendedSystem, System
 from deepkoco.systems.effects import effects_of
@@ -37,10 +26,6 @@ from deepkoco.systems.effects.learned import is_weight
 
 OPEN = 0.1  # relative standard deviation of a prior from which it leaves a scale open
 FIXED = 1e-4  # and of one that fixes it
-LONG = 75  # iterations of a refit that starts far from its minimum
-FEW_WINDOWS = (
-    20  # of a log, or half the number of parameters, that give a fit of many parameters its start values
-)
 
 
 @dataclass(frozen=True)
@@ -80,7 +65,7 @@ class Near(NamedTuple):
 
     Attributes:
         values: Parameters near those of the unit.
-        wander: Noise of the commands, without any window; None where the logs show none.
+        wander: Noise of the commands; its windows do not count. None where the logs show none.
     """
 
     values: Mapping[str, float]
@@ -253,181 +238,6 @@ def with_gauges_fixed(start: Baseline, windows: Windows) -> Baseline:
         covariance[i, :] = covariance[:, i] = 0.0
         covariance[i, i] = (FIXED * start.values[gauge.fixed]) ** 2
     return replace(start, prior=replace(start.prior, covariance=covariance), gauges=gauges)
-
-
-def refit(
-    start: Baseline, windows: Windows, free: tuple[str, ...] | None = None, first: Fit | None = None
-) -> Fit:
-    """Fit the baseline's parameters under their prior, first on windows of half the length or shorter.
-
-    The cost of a long window across an unstable equilibrium has many minima; that of half windows has fewer. The fit
-    on half windows gives the start values of parameters and initial states for the full windows. Where one of these
-    fits ends without a minimum, as in a valley of stick and slip that no slope leaves, the full windows are fitted from
-    the present values too, and the lower cost is kept.
-
-    Args:
-        start: Prior and present values.
-        windows: The windows to fit.
-        free: Parameters to free; None frees all that the prior covers.
-        first: The fit on half windows, where it is known.
-
-    Returns:
-        The fit of the full windows.
-
-    Raises:
-        DivergedError: The simulation diverges at the present values, or at those of the fit on half windows.
-    """
-    names = start.prior.names if free is None else free
-    first = from_shorter_windows(start, windows, names) if first is None else first
-    problem = FitProblem(start.system, windows)
-    guess = windows.state.clone()
-    guess[torch.from_numpy(few_windows(windows, len(names)))] = first.state[::2]
-    state, _ = problem.fit_states(first.values, guess)
-    found = problem.fit_one(Trial("refit", names, start.prior, first.values, state, first.nuisance))
-    if not (first.stuck or found.stuck):
-        return found
-    state, _ = problem.fit_states(start.values, windows.state)
-    again = problem.fit([Trial("refit", names, start.prior, start.values, state)], LONG)[0]
-    return again if not again.diverged and again.cost < found.cost else found
-
-
-def on_half_windows(
-    start: Baseline, windows: Windows, names: tuple[str, ...], iterations: int = ITERATIONS
-) -> Fit:
-    """Fit the parameters on windows of half the length; with many parameters, on an even choice of them.
-
-    Args:
-        start: Prior and present values.
-        windows: The windows.
-        names: Parameters to free.
-        iterations: Largest number of simulations.
-
-    Raises:
-        DivergedError: The simulation diverges at the present values.
-    """
-    halves = halved(windows.take(few_windows(windows, len(names))))
-    short = FitProblem(start.system, halves)
-    state, _ = short.fit_states(start.values, halves.state)
-    return short.fit_one(Trial("half windows", names, start.prior, start.values, state), iterations)
-
-
-def from_shorter_windows(start: Baseline, windows: Windows, names: tuple[str, ...]) -> Fit:
-    """As :func:`on_half_windows`, with windows as short as it takes to find a minimum (:mod:`.shorter_first`).
-
-    Raises:
-        DivergedError: The simulation diverges at the present values.
-    """
-    halves = halved(windows.take(few_windows(windows, len(names))))
-    return shorter_first(start.system, start.values, start.prior, names, halves)
-
-
-def first_refit(start: Baseline, windows: Windows) -> tuple[Windows, Fit]:
-    """Fit on windows of half the length or shorter, and ask whether the commands of the log have noise.
-
-    Args:
-        start: Prior and present values.
-        windows: The windows.
-
-    Returns:
-        The windows, with their most likely commands and what noise of these does, and the fit on the half windows.
-
-    Raises:
-        DivergedError: The simulation diverges at the present values.
-    """
-    if start.near is not None:
-        try:
-            return _first_refit(start.begun(), windows)
-        except DivergedError:
-            start = replace(start, near=None)
-    return _first_refit(start, windows)
-
-
-def _first_refit(start: Baseline, windows: Windows) -> tuple[Windows, Fit]:
-    names, problem_of = start.prior.names, partial(FitProblem, start.system)
-    if windows.wander is None:
-        # Without it, long windows find no minimum.
-        windows = with_noise_like(problem_of, windows, start.values, start.wander)
-    first = from_shorter_windows(start, windows, names)
-    chosen = few_windows(windows, len(names))
-    halves = windows.valid[chosen].sum()
-    if windows.wander is not None or first.chi2 <= white_limit(windows) * float(halves):
-        return windows, first
-    state = windows.state.clone()
-    state[torch.from_numpy(chosen)] = first.state[::2]
-    if start.healthy is not None:
-        # The recorder is that of the healthy logs. At their values, whole windows may run away.
-        return with_noise_like(problem_of, windows, first.values, start.wander), first
-    noisy = with_command_noise(problem_of, windows, first.values, state)
-    if noisy is windows:
-        return windows, first
-    return noisy, on_half_windows(replace(start, values=first.values), noisy, names)
-
-
-def few_windows(windows: Windows, parameters: int) -> np.ndarray:
-    """Return the windows with which a fit of so many parameters can begin: an even choice of many, else all."""
-    most = max(FEW_WINDOWS, parameters // 2)
-    size = len(windows)
-    if parameters + windows.state.shape[1] < MANY or size <= most:
-        return np.arange(size)
-    return np.unique(np.linspace(0, size - 1, most).astype(int))
-
-
-def refit_sharply(start: Baseline, windows: Windows, first: Fit | None = None) -> tuple[Windows, Fit]:
-    """Refit, estimate the noise from the residuals, and refit once more under that noise, with steps fine enough.
-
-    Commands in the place of lost rows are fitted with it. Where more than noise is left, the noise then contains what
-    the rounding of the logged commands does.
-
-    Args:
-        start: Prior and present values.
-        windows: The windows.
-        first: The fit on half windows, where it is known.
-
-    Returns:
-        The windows under the estimated noise, and the refit to them.
-
-    Raises:
-        DivergedError: The simulation diverges at the present values.
-    """
-    if first is None:
-        windows, first = first_refit(start, windows)
-    fit = refit(start, windows, first=first)
-    windows = with_sharp_noise(windows, fit)
-    windows, fit = with_lost_rows_fitted(partial(FitProblem, start.system), windows, fit, start.prior)
-    left = MOST
-    for _ in range(STEP_ROUNDS):
-        parts = fine_steps(partial(FitProblem, start.system), windows, fit, left)
-        windows, left = with_steps_cut(windows, parts), left // parts
-        trial = Trial("refit", fit.free, start.prior, fit.values, fit.state, fit.nuisance)
-        fit = FitProblem(start.system, windows).fit_one(trial)
-        if parts == 1:
-            break
-    if windows.wander is None and fit.chi2 / windows.samples > white_limit(windows):
-        noisy = with_rounded_commands(partial(FitProblem, start.system), windows, fit)
-        if noisy is not windows:
-            trial = Trial("refit", fit.free, start.prior, fit.values, fit.state, fit.nuisance)
-            windows, fit = noisy, FitProblem(start.system, noisy).fit_one(trial)
-    return windows, fit
-
-
-def with_floor_as_noise(start: Baseline, windows: Windows) -> tuple[Baseline, Windows, Fit]:
-    """Count the floor as noise, and refit.
-
-    The prior of a learned baseline was computed with the floor. A likelihood without the floor, or one that counts
-    correlated model errors as independent, would weigh too much against this prior.
-
-    Args:
-        start: A baseline learned from healthy logs.
-        windows: Windows with the noise of the sensors alone.
-
-    Returns:
-        The baseline with a floor of 1, the windows with the larger noise, and their refit.
-    """
-    windows = noisier(windows, start.floor, start.correlation)
-    start = replace(start, floor=1.0, prior=tempered(start.prior, start.correlation))
-    first = refit(start, windows)
-    trial = Trial("refit", first.free, start.prior, first.values, first.state, first.nuisance)
-    return start, windows, FitProblem(start.system, windows).fit_one(trial)
 
 
 def prior_of_mean(start: Baseline) -> tuple[Baseline, dict[str, float]]:

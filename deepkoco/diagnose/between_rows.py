@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from deepkoco.diagnose.as_engine import as_engine_if_shown, closest_of_logs
-from deepkoco.diagnose.baseline import Baseline, Near, baseline_from, from_shorter_windows, on_half_windows
+from deepkoco.diagnose.baseline import Baseline, Near, baseline_from
+from deepkoco.diagnose.baseline_refit import from_shorter_windows, on_half_windows
 from deepkoco.diagnose.left_of_logs import NOISE
 from deepkoco.diagnose.residuals.residuals import white_limit
 from deepkoco.fit.data.halves import halved

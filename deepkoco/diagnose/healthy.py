@@ -14,9 +14,9 @@ from deepkoco.diagnose.baseline import (
     Healthy,
     Near,
     baseline_from,
-    refit_sharply,
     with_gauges_fixed,
 )
+from deepkoco.diagnose.baseline_refit import refit_sharply
 from deepkoco.diagnose.between_rows import as_recorded
 from deepkoco.diagnose.causes import Cause, catalogue, is_changed, kind_of, measured_channels, shown_causes
 from deepkoco.diagnose.causes.timing import LOST_COMMANDS

@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepkoco.diagnose.baseline import Healthy, refit
+from deepkoco.diagnose.baseline import Healthy
+from deepkoco.diagnose.baseline_refit import refit
 from deepkoco.diagnose.evidence.priors import freed, prior_with
 from deepkoco.diagnose.evidence.selection import PATIENCE
 from deepkoco.diagnose.per_log_refits import ROUNDS, SETTLED, run_to_run, with_floor

@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from deepkoco.diagnose.baseline import Baseline, Near, baseline_from, few_windows, on_half_windows
+from deepkoco.diagnose.baseline import Baseline, Near, baseline_from
+from deepkoco.diagnose.baseline_refit import few_windows, on_half_windows
 from deepkoco.diagnose.causes.timing import STARTS
 from deepkoco.fit.data.halves import halved
 from deepkoco.fit.data.own_steps import in_steps_of

@@ -11,7 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from deepkoco.diagnose.baseline import LONG, Baseline
+from deepkoco.diagnose.baseline import Baseline
+from deepkoco.diagnose.baseline_refit import LONG
 from deepkoco.diagnose.causes import Cause, is_changed
 from deepkoco.diagnose.causes.tolerance import OF_MODEL_FILE, Healthy
 from deepkoco.diagnose.data_sheet import with_usual_spread

@@ -14,7 +14,7 @@ from functools import partial
 
 from torch import Tensor
 
-from deepkoco.diagnose.baseline import LONG
+from deepkoco.diagnose.baseline_refit import LONG
 from deepkoco.diagnose.data import MIN_TRAINING_WINDOWS, Data, cut_data
 from deepkoco.diagnose.evidence.forward import Selection
 from deepkoco.diagnose.evidence.priors import prior_with

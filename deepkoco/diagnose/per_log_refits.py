@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepkoco.diagnose.baseline import Healthy, noisier, refit, tempered
+from deepkoco.diagnose.baseline import Healthy, noisier, tempered
+from deepkoco.diagnose.baseline_refit import refit
 from deepkoco.diagnose.residuals.residuals import mean_square_variance
 from deepkoco.diagnose.run_to_run import (
     RunToRun,

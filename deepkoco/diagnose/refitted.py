@@ -8,7 +8,8 @@ from functools import partial
 
 import numpy as np
 
-from deepkoco.diagnose.baseline import Baseline, prior_of_mean, with_floor_as_noise
+from deepkoco.diagnose.baseline import Baseline, prior_of_mean
+from deepkoco.diagnose.baseline_refit import with_floor_as_noise
 from deepkoco.diagnose.data import Data
 from deepkoco.diagnose.evidence.absorbed import refit_without
 from deepkoco.diagnose.evidence.event_windows import train_on_pushed

@@ -19,7 +19,8 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from deepkoco.diagnose.baseline import FEW_WINDOWS, Baseline, few_windows, first_refit, refit_sharply
+from deepkoco.diagnose.baseline import Baseline
+from deepkoco.diagnose.baseline_refit import FEW_WINDOWS, few_windows, first_refit, refit_sharply
 from deepkoco.diagnose.causes.units import LARGE_MISFIT
 from deepkoco.diagnose.late_commands import LATE, common_delay, sizes_when_late, with_delay_free
 from deepkoco.diagnose.one_controller import with_surplus_as_damping

@@ -7,7 +7,8 @@ import torch
 
 from deepkoco.diagnose import diagnose
 from deepkoco.diagnose.as_engine import as_engine_if_shown, closest
-from deepkoco.diagnose.baseline import baseline_from, refit
+from deepkoco.diagnose.baseline import baseline_from
+from deepkoco.diagnose.baseline_refit import refit
 from deepkoco.diagnose.left_of_logs import Left, LeftOfLogs
 from deepkoco.fit.data.windows import cut_windows, window_length
 from deepkoco.logs.recording import Recording, Series

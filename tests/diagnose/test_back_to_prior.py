@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepkoco.diagnose.baseline import baseline_from, refit
+from deepkoco.diagnose.baseline import baseline_from
+from deepkoco.diagnose.baseline_refit import refit
 from deepkoco.diagnose.evidence.back_to_prior import back_to_prior
 from deepkoco.diagnose.evidence.priors import strained
 from deepkoco.fit import cut_windows

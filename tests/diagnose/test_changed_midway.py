@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from deepkoco.diagnose import diagnose
-from deepkoco.diagnose.baseline import baseline_from, refit
+from deepkoco.diagnose.baseline import baseline_from
+from deepkoco.diagnose.baseline_refit import refit
 from deepkoco.diagnose.report.text import headline
 from deepkoco.diagnose.residuals.residuals import dispersion
 from deepkoco.diagnose.verdict.midway import changed_midway, clearest_changes

@@ -9,7 +9,8 @@ import pytest
 from rich.console import Console
 
 from deepkoco.diagnose import diagnose
-from deepkoco.diagnose.baseline import baseline_from, refit_sharply
+from deepkoco.diagnose.baseline import baseline_from
+from deepkoco.diagnose.baseline_refit import refit_sharply
 from deepkoco.diagnose.causes import catalogue, changed_parameter
 from deepkoco.diagnose.diagnosis import Estimate
 from deepkoco.diagnose.evidence.priors import declared, prior_with

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from deepkoco import load_system
-from deepkoco.diagnose.baseline import baseline_from, refit_sharply
+from deepkoco.diagnose.baseline import baseline_from
+from deepkoco.diagnose.baseline_refit import refit_sharply
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.evidence.curved_valley import cheapest_in_valley
 from deepkoco.diagnose.evidence.priors import prior_with

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepkoco.diagnose.baseline import baseline_from, refit_sharply
+from deepkoco.diagnose.baseline import baseline_from
+from deepkoco.diagnose.baseline_refit import refit_sharply
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.evidence.elimination import BENDING, PUSHES, carried, eliminated, without_kinds
 from deepkoco.diagnose.evidence.forward import Selection

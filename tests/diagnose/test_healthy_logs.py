@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from deepkoco.diagnose import BaselineError, diagnose
-from deepkoco.diagnose.baseline import Healthy, baseline_from, refit_sharply
+from deepkoco.diagnose.baseline import Healthy, baseline_from
+from deepkoco.diagnose.baseline_refit import refit_sharply
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.causes.event import EVENT
 from deepkoco.diagnose.evidence import forward

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from deepkoco.diagnose import diagnose
-from deepkoco.diagnose.baseline import baseline_from, refit_sharply
+from deepkoco.diagnose.baseline import baseline_from
+from deepkoco.diagnose.baseline_refit import refit_sharply
 from deepkoco.diagnose.causes import CAUSES, catalogue
 from deepkoco.diagnose.causes.cause import Hint
 from deepkoco.diagnose.evidence.elimination import carried

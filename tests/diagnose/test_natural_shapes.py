@@ -4,7 +4,8 @@ import math
 
 import pytest
 
-from deepkoco.diagnose.baseline import baseline_from, refit_sharply
+from deepkoco.diagnose.baseline import baseline_from
+from deepkoco.diagnose.baseline_refit import refit_sharply
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.evidence.footholds import trial_of
 from deepkoco.diagnose.evidence.natural_shapes import with_natural_shapes

@@ -3,7 +3,8 @@
 import pytest
 
 import deepkoco.diagnose.evidence.selection as selection
-from deepkoco.diagnose.baseline import baseline_from, refit_sharply
+from deepkoco.diagnose.baseline import baseline_from
+from deepkoco.diagnose.baseline_refit import refit_sharply
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.evidence.ranking import ranked
 from deepkoco.diagnose.evidence.start_values import Hints

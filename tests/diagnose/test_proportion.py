@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from deepkoco import Channel, Parameter, System
-from deepkoco.diagnose.baseline import baseline_from, refit_sharply
+from deepkoco.diagnose.baseline import baseline_from
+from deepkoco.diagnose.baseline_refit import refit_sharply
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.evidence.priors import prior_with
 from deepkoco.diagnose.evidence.proportion import in_proportion

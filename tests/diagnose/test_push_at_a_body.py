@@ -8,7 +8,8 @@ import pytest
 
 import deepkoco
 from deepkoco.diagnose import diagnose
-from deepkoco.diagnose.baseline import Healthy, baseline_from, refit_sharply
+from deepkoco.diagnose.baseline import Healthy, baseline_from
+from deepkoco.diagnose.baseline_refit import refit_sharply
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.evidence.seen_when_healthy import healthy_shows_pushes
 from deepkoco.diagnose.residuals.residuals import missing_torque

@@ -2,7 +2,8 @@
 
 from dataclasses import replace
 
-from deepkoco.diagnose.baseline import baseline_from, refit_sharply
+from deepkoco.diagnose.baseline import baseline_from
+from deepkoco.diagnose.baseline_refit import refit_sharply
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.evidence.footholds import trial_of
 from deepkoco.diagnose.evidence.ranking import Candidate, Ranking, penalty

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepkoco.diagnose.baseline import baseline_from, on_half_windows, refit
+from deepkoco.diagnose.baseline import baseline_from
+from deepkoco.diagnose.baseline_refit import on_half_windows, refit
 from deepkoco.fit import FitProblem, cut_windows, moving
 from deepkoco.fit.solve.levenberg_marquardt import TOLERANCE
 from deepkoco.systems import make_system

@@ -8,7 +8,8 @@ import torch
 import yaml
 
 from deepkoco.diagnose import diagnose
-from deepkoco.diagnose.baseline import baseline_from, refit
+from deepkoco.diagnose.baseline import baseline_from
+from deepkoco.diagnose.baseline_refit import refit
 from deepkoco.diagnose.evidence import residual_model, term_choice
 from deepkoco.diagnose.residuals.residuals import missing_torque
 from deepkoco.fit.data.windows import cut_windows, estimate_channels, window_length

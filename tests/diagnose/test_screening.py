@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from deepkoco.diagnose.baseline import baseline_from, refit
+from deepkoco.diagnose.baseline import baseline_from
+from deepkoco.diagnose.baseline_refit import refit
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.evidence.footholds import from_halves
 from deepkoco.diagnose.evidence.priors import prior_with

@@ -12,6 +12,7 @@ STAGES = (
     "deepkoco.diagnose.data",
     "deepkoco.diagnose.request",
     "deepkoco.diagnose.baseline",
+    "deepkoco.diagnose.baseline_refit",
     "deepkoco.diagnose.refitted",
     "deepkoco.diagnose.explanation",
     "deepkoco.diagnose.weighed",

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepkoco.diagnose.baseline import baseline_from, refit
+from deepkoco.diagnose.baseline import baseline_from
+from deepkoco.diagnose.baseline_refit import refit
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.evidence.joint_by_joint import best_of_each_joint
 from deepkoco.diagnose.evidence.promising import PER_PLACE, best_of_each_place

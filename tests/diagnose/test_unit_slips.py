@@ -6,7 +6,8 @@ from dataclasses import replace
 import pytest
 
 from deepkoco.diagnose import diagnose
-from deepkoco.diagnose.baseline import baseline_from, refit_sharply
+from deepkoco.diagnose.baseline import baseline_from
+from deepkoco.diagnose.baseline_refit import refit_sharply
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.evidence.slips import LARGE, SLIPS, slipped, states_read_by
 from deepkoco.diagnose.evidence.start_values import Hints

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from deepkoco.diagnose.baseline import Near, baseline_from, refit_sharply
+from deepkoco.diagnose.baseline import Near, baseline_from
+from deepkoco.diagnose.baseline_refit import refit_sharply
 from deepkoco.excitation.record import record
 from deepkoco.fit.data.halves import halved
 from deepkoco.fit.data.wander import Wander, compressed, joined

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from deepkoco.diagnose import diagnose
-from deepkoco.diagnose.baseline import baseline_from, refit_sharply
+from deepkoco.diagnose.baseline import baseline_from
+from deepkoco.diagnose.baseline_refit import refit_sharply
 from deepkoco.fit.data.windows import cut_windows
 from deepkoco.fit.solve.guessed_commands import errors_of_guesses, guesses_in
 from deepkoco.logs.lost_rows import with_lost_rows

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from deepkoco.diagnose.baseline import baseline_from, refit
+from deepkoco.diagnose.baseline import baseline_from
+from deepkoco.diagnose.baseline_refit import refit
 from deepkoco.fit.data.per_log_differences import known_of
 from deepkoco.fit.data.windows import cut_windows
 from deepkoco.logs.recording import LogError, Recording, Series

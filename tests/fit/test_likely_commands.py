@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deepkoco.diagnose.baseline import baseline_from, refit_sharply
+from deepkoco.diagnose.baseline import baseline_from
+from deepkoco.diagnose.baseline_refit import refit_sharply
 from deepkoco.excitation.record import record
 from deepkoco.fit.data.likely_commands import _response, likely_commands
 from deepkoco.fit.data.series import CommandSeries

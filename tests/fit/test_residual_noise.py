@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepkoco.diagnose.baseline import baseline_from, refit_sharply, with_gauges_fixed
+from deepkoco.diagnose.baseline import baseline_from, with_gauges_fixed
+from deepkoco.diagnose.baseline_refit import refit_sharply
 from deepkoco.diagnose.residuals.scatter import Scatter, jitter
 from deepkoco.diagnose.residuals.whiteness import more_than_noise
 from deepkoco.fit.data.windows import cut_windows, moving

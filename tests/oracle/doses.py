@@ -7,7 +7,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from deepkoco.diagnose.baseline import baseline_from, refit
+from deepkoco.diagnose.baseline import baseline_from
+from deepkoco.diagnose.baseline_refit import refit
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.fit import Noise, cut_windows, moving, window_length
 from deepkoco.logs.recording import Recording

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from deepkoco.diagnose.baseline import Baseline, baseline_from, refit_sharply
+from deepkoco.diagnose.baseline import Baseline, baseline_from
+from deepkoco.diagnose.baseline_refit import refit_sharply
 from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.evidence.promising import WORTH
 from deepkoco.diagnose.evidence.selection import rank

@@ -8,14 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from deepkoco.diagnose.baseline import (
-    Baseline,
-    Healthy,
-    Near,
-    baseline_from,
-    refit_sharply,
-    with_gauges_fixed,
-)
+from deepkoco.diagnose.baseline import Baseline, Healthy, Near, baseline_from, with_gauges_fixed
+from deepkoco.diagnose.baseline_refit import refit_sharply
 from deepkoco.diagnose.causes import catalogue, causes_named, measured_channels, shown_causes
 from deepkoco.diagnose.data import cut_data
 from deepkoco.diagnose.probability.answer import Answer

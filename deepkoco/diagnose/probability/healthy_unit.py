@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.special
 
-from deepkoco.diagnose.baseline import Healthy, refit
+from deepkoco.diagnose.baseline import Healthy
+from deepkoco.diagnose.baseline_refit import refit
 from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.evidence.start_values import Hints
 from deepkoco.diagnose.probability.amplitudes import Amplitudes

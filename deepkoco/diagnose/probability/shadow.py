@@ -10,7 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from deepkoco.diagnose.baseline import Baseline, Near, refit_sharply
+from deepkoco.diagnose.baseline import Baseline, Near
+from deepkoco.diagnose.baseline_refit import refit_sharply
 from deepkoco.diagnose.causes import Cause, is_changed
 from deepkoco.diagnose.data_sheet import guessed, with_usual_spread
 from deepkoco.diagnose.diagnosis import Diagnosis

@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from deepkoco.diagnose.baseline import Baseline, refit
+from deepkoco.diagnose.baseline import Baseline
+from deepkoco.diagnose.baseline_refit import refit
 from deepkoco.diagnose.data import MIN_TRAINING_WINDOWS
 from deepkoco.diagnose.diagnosis import Evidence
 from deepkoco.diagnose.gain import Gain, gain_of_fits

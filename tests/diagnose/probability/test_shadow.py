@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from deepkoco.diagnose import diagnose
-from deepkoco.diagnose.baseline import Healthy, baseline_from, refit_sharply
+from deepkoco.diagnose.baseline import Healthy, baseline_from
+from deepkoco.diagnose.baseline_refit import refit_sharply
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.probability import shadow
 from deepkoco.diagnose.probability.columns import columns_at

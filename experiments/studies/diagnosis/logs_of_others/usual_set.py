@@ -25,13 +25,8 @@ from typing import Any
 
 import numpy as np
 
-from deepkoco.diagnose.baseline import (
-    FEW_WINDOWS,
-    baseline_from,
-    catalogue_system,
-    few_windows,
-    with_gauges_fixed,
-)
+from deepkoco.diagnose.baseline import baseline_from, catalogue_system, with_gauges_fixed
+from deepkoco.diagnose.baseline_refit import FEW_WINDOWS, few_windows
 from deepkoco.diagnose.data import cut_data
 from deepkoco.diagnose.gain import held_out_gain
 from deepkoco.diagnose.refitted import refit_to_logs
