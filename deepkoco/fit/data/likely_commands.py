@@ -42,9 +42,12 @@ def likely_commands(commands: Sequence[CommandSeries], logged: Sequence[float]) 
     """Return the most likely commands of logs of one recorder.
 
     Args:
-        commands: As logged.
-        logged: Square root of the covariance of the noise of each command that no motor felt with the logged command,
-            as independent noise of each row, in its unit; 0 where the log does not hold the noise.
+        commands: As logged, (n,) or (n, M) each.
+        logged: (M,) square root of the covariance of noise that no motor felt with the logged command, as independent
+            noise of each row, in the command's unit; 0 where the log does not hold the noise.
+
+    Returns:
+        The same logs with other values; as logged where a command rests, stops at a limit or changes too seldom.
     """
     values = [np.array(command.value, dtype=float) for command in commands]
     for index, told in enumerate(logged):
