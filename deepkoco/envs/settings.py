@@ -15,6 +15,7 @@ from deepkoco.envs.tasks import TASKS, GoalTask, Task, TaskDeclarationError, Unk
 from deepkoco.envs.world_rate import slowest_world_rate
 from deepkoco.graph.delay import Delay, DelayError, make_delay
 from deepkoco.systems import SYSTEMS, ExtendedSystem, System, any_system
+from deepkoco.systems.channel_delay import OF_SPEEDS
 from deepkoco.systems.parameter import Parameters
 from deepkoco.systems.stick_slip import Joints, StickSlip
 
@@ -209,6 +210,10 @@ def _check_steps(system: System, integrator: str) -> None:
 
 def _of_sensors_alone(system: System, parameters: Parameters) -> list[str]:
     """Name the filter of the sensors and the late channels that a model has."""
-    late = system.channel_delays(parameters).items()
+    of_speeds = f"{OF_SPEEDS}.delay"
+    common = float(parameters.get(of_speeds, 0.0)) > 0.0
+    alone = {name: value for name, value in parameters.items() if name != of_speeds}
+    late = system.channel_delays(alone).items()
     found = [f"channel_delay({system.measurements[c].name})" for c, delay in late if float(delay) > 0.0]
+    found = [*found, *([OF_SPEEDS] if common else [])]
     return [*found, *(["low_pass"] if float(system.sensor_filter(parameters)) > 0.0 else [])]

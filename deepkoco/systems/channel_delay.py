@@ -11,13 +11,34 @@ from torch import Tensor
 from deepkoco.systems.effects.effect import PlacedEffect
 from deepkoco.systems.parameter import Parameters
 
-NAME = "channel_delay"  # of the effect
+NAME = "channel_delay"  # of the effect at one channel
+OF_SPEEDS = "speed_delay"  # of the effect on all channels of speeds
 
 
-def channel_delays(effects: Iterable[PlacedEffect], parameters: Parameters) -> dict[int, Tensor]:
-    """Delays of the channels at which the effect acts: channel -> (...) [s]."""
-    own = [(placed.index, f"{placed.name}.delay") for placed in effects if placed.effect.name == NAME]
-    return {channel: parameters[name] for channel, name in own if name in parameters}
+def channel_delays(
+    effects: Iterable[PlacedEffect], parameters: Parameters, speeds: Iterable[int]
+) -> dict[int, Tensor]:
+    """Delays that effects give to channels: channel -> (...) [s].
+
+    Args:
+        effects: Those of a system.
+        parameters: Named values.
+        speeds: Channels that show speeds.
+    """
+    found: dict[int, Tensor] = {}
+    for placed in effects:
+        late = {NAME: (placed.index,), OF_SPEEDS: tuple(speeds)}.get(placed.effect.name, ())
+        delay = parameters.get(f"{placed.name}.delay")
+        found = found if delay is None else sums(found, dict.fromkeys(late, delay))
+    return found
+
+
+def sums(delays: Mapping[int, Tensor], more: Mapping[int, Tensor]) -> dict[int, Tensor]:
+    """Delays of channels (...) [s] that have both of two kinds, or one."""
+    return {
+        c: delays[c] + more[c] if c in delays and c in more else delays[c] if c in delays else more[c]
+        for c in dict.fromkeys((*delays, *more))
+    }
 
 
 def latest(delays: Mapping[int, Tensor]) -> Tensor:

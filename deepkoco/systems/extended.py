@@ -14,7 +14,7 @@ from torch import Tensor
 
 from deepkoco.old_names import moved_names
 from deepkoco.systems.added_loads import SumOverJoints, own_values
-from deepkoco.systems.channel_delay import channel_delays, latest
+from deepkoco.systems.channel_delay import channel_delays, latest, sums
 from deepkoco.systems.dry_friction import DryFriction, Levels
 from deepkoco.systems.effects import EFFECTS, PlacedEffect, SensorSite, effects_of
 from deepkoco.systems.effects.effect import steady_level
@@ -258,7 +258,10 @@ class ExtendedSystem(WrappedSystem):
         zero = torch.zeros((), dtype=torch.float64)
         delay = base.delay + parameters.get("sensing_delay.delay", zero)
         delay = delay - parameters.get("stamp_lead.lead", zero)
-        delay = delay + latest(channel_delays(self.effects, parameters))
+        # The state along a log is the one that the latest channel shows, and the base counts its own.
+        delay = delay + (
+            latest(self.channel_delays(parameters)) - latest(self.base.channel_delays(parameters))
+        )
         delay = delay + parameters.get(f"{self.timing_at('actuation_delay', index)}.delay", zero)
         names = [self.timing_at("lag", index)]
         if index < len(self.actuator_joints):
@@ -274,7 +277,8 @@ class ExtendedSystem(WrappedSystem):
         )
 
     def channel_delays(self, parameters: Parameters) -> dict[int, Tensor]:
-        return {**self.base.channel_delays(parameters), **channel_delays(self.effects, parameters)}
+        speeds = [c for joint in range(self.joints) for c in self._channels_of(joint)[1]]
+        return sums(self.base.channel_delays(parameters), channel_delays(self.effects, parameters, speeds))
 
     def output_play(self, parameters: Parameters) -> Levels:
         base, own = (

@@ -94,3 +94,17 @@ def test_logs_show_only_the_causes_of_channels_that_they_measure():
     assert both - one == of_omega | {"channel_delay(theta)", "channel_scale(theta)"}
     log = hidden_log("rod_pendulum", {}, "steps", 0, seconds=2.0)
     assert measured_channels([log]) == {"theta", "omega"}
+
+
+def test_logs_show_a_delay_of_all_speeds_beside_a_position_and_from_two_speeds_on():
+    system = make_system("two_link_arm")
+    known = catalogue(system)
+    angles = [c.name for c in system.measurements if c.unit == "rad"]
+    speeds = [c.name for c in system.measurements if c.unit == "rad/s"]
+
+    def shown(*channels):
+        return "speed_delay" in {c.name for c in shown_causes(known, channels)}
+
+    assert shown(angles[0], *speeds)
+    assert not shown(*angles, speeds[0])
+    assert not shown(*speeds)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from deepkoco.diagnose import diagnose
@@ -27,4 +28,18 @@ def test_a_late_channel_is_named_with_its_delay():
     assert result.causes[0].parameters["channel_delay(theta).delay"].value == pytest.approx(
         5 * period, rel=0.05
     )
+    assert result.chi2_after < 1.15
+
+
+def test_speeds_that_a_drive_filters_are_named_as_one_delay_of_all_of_them():
+    log = hidden_log("two_link_arm", {}, "steps", 172, 20.0)
+    speeds = [name for name, own in log.channels.items() if own.unit == "rad/s"]
+    period = float(np.diff(log.channels[speeds[0]].t).mean())
+    for name in speeds:
+        log = older(log, name, 3)
+    result = diagnose([log], "two_link_arm")
+    assert result.verdict == "cause"
+    (found,) = result.causes
+    assert found.name == "speed_delay"
+    assert found.parameters["speed_delay.delay"].value == pytest.approx(3 * period, rel=0.05)
     assert result.chi2_after < 1.15

@@ -44,3 +44,9 @@ def test_such_an_effect_at_its_null_value_is_taken(name):
 def test_what_a_model_says_of_the_sensors_alone_is_left_out_with_a_warning(name):
     with pytest.warns(UserWarning, match=re.escape(name)):
         EnvironmentSettings(model=extended(name))
+
+
+def test_a_delay_of_all_speeds_is_left_out_under_its_own_name():
+    late = ExtendedSystem(make_system("two_link_arm"), ("speed_delay",), {"speed_delay.delay": 0.02})
+    with pytest.warns(UserWarning, match="leaves out speed_delay of the model"):
+        EnvironmentSettings("two_link_arm", model=late)

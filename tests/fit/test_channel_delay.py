@@ -72,3 +72,31 @@ def test_the_command_is_late_for_the_state_that_the_latest_channel_shows():
 def test_a_system_with_one_channel_has_no_delay_of_a_channel_of_its_own():
     assert "channel_delay(theta)" in effects_of(make_system("rod_pendulum"))
     assert not [n for n in effects_of(Tray()) if n.startswith("channel_delay")]
+
+
+def test_a_delay_of_all_speeds_is_the_same_delay_of_each_of_them():
+    base = make_system("two_link_arm")
+    speeds = [c.name for c in base.measurements if c.unit == "rad/s"]
+    names = ("speed_delay",), tuple(f"channel_delay({c})" for c in speeds)
+    common, apart = (ExtendedSystem(base, n, {f"{x}.delay": 0.02 for x in n}) for n in names)
+    ours, theirs = (s.channel_delays(s.default_parameters()) for s in (common, apart))
+    assert {base.measurements[c].name for c in ours} == set(speeds)
+    assert {c: float(x) for c, x in ours.items()} == {c: float(x) for c, x in theirs.items()}
+    ours, theirs = (float(s.command_timing(1, s.default_parameters()).delay) for s in (common, apart))
+    assert ours == theirs == pytest.approx(0.02)
+
+
+def test_a_late_channel_is_later_still_where_all_speeds_are_late():
+    base = make_system("two_link_arm")
+    index, one = next((c, m.name) for c, m in enumerate(base.measurements) if m.unit == "rad/s")
+    names = ("speed_delay", f"channel_delay({one})")
+    both = ExtendedSystem(base, names, {"speed_delay.delay": 0.02, f"channel_delay({one}).delay": 0.01})
+    p = both.default_parameters()
+    assert float(both.channel_delays(p)[index]) == pytest.approx(0.03)
+    assert float(both.command_timing(0, p).delay) == pytest.approx(0.03)
+
+
+def test_one_speed_has_no_delay_of_all_speeds():
+    assert "speed_delay" in effects_of(make_system("two_link_arm"))
+    assert "speed_delay" not in effects_of(make_system("rod_pendulum"))
+    assert "speed_delay" not in effects_of(Tray())

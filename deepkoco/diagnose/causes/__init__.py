@@ -57,6 +57,7 @@ from deepkoco.diagnose.causes.timing import (
     LAG,
     LOST_COMMANDS,
     SENSING_DELAY,
+    SPEED_DELAY,
     STAMP_LEAD,
 )
 from deepkoco.own_objects import entry_point, entry_point_names
@@ -69,6 +70,7 @@ CAUSES: dict[str, Cause] = {
         ACTUATION_DELAY,
         SENSING_DELAY,
         CHANNEL_DELAY,
+        SPEED_DELAY,
         LAG,
         CLOCK_SKEW,
         STAMP_LEAD,

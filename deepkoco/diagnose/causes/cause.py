@@ -82,11 +82,14 @@ class Cause:
             zero of its joint, and has one parameter less then.
         relative: ``(system, channel)`` -> channels that have none of it, where one shows it only beside one of these;
             None where its own shows it alone.
+        several: ``(system)`` -> channels that all have it; a log that measures one of them alone shows the cause of
+            that channel in its place. None where it belongs to no group of channels.
         regroups: Whether it is one factor on parameters that a refit frees: it adds nothing beside them, and is asked
             for only in the place of many of them, or by its name.
         tolerance: How much of every other parameter any healthy machine has, as a distance from the null value.
         effect: Name of the placed effect that simulates it; "event" for a push, "changed" for a parameter itself.
-        beside: Names of these channels, once it is placed.
+        beside: Names of the channels that have none of it, once it is placed.
+        among: Names of the channels that all have it, once it is placed.
         joint: Joint on which it acts; None for the whole system, or for all actuators alike.
         index: Index of its command or channel, where it belongs to one.
     """
@@ -109,12 +112,14 @@ class Cause:
     shape: tuple[str, ...] = ()
     natural: tuple[str, ...] = ()
     relative: Callable[[System, int], tuple[int, ...]] | None = None
+    several: Callable[[System], tuple[int, ...]] | None = None
     tolerance: Tolerance = share_of_usual
     regroups: bool = False
     also: tuple[str, ...] = ()
     also_summary: str = ""
     effect: str = ""
     beside: tuple[str, ...] = ()
+    among: tuple[str, ...] = ()
     joint: int | None = None
     index: int = 0
 
@@ -156,6 +161,8 @@ class Cause:
         if self.relative is not None:
             others = self.relative(system, placed.index)
             cause = replace(cause, beside=tuple(system.measurements[c].name for c in others))
+        if self.several is not None:
+            cause = replace(cause, among=tuple(system.measurements[c].name for c in self.several(system)))
         return cause._called(placed.name, placed.name, joint, placed.index)
 
     def on_joint(self, joint: int, system: System) -> Cause:

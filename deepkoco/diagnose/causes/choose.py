@@ -33,11 +33,14 @@ def shown_causes(known: dict[str, Cause], measured: Collection[str]) -> list[Cau
 
 
 def _shown(cause: Cause, measured: Collection[str]) -> bool:
+    if cause.beside and set(cause.beside).isdisjoint(measured):
+        return False
+    if cause.among and len(set(cause.among).intersection(measured)) < 2:
+        return False
     effect = EFFECTS.get(cause.kind)
     if effect is None or effect.site != "channel":
         return True
-    channel = cause.name.removeprefix(f"{cause.kind}(").removesuffix(")")
-    return channel in measured and (not cause.beside or not set(cause.beside).isdisjoint(measured))
+    return cause.name.removeprefix(f"{cause.kind}(").removesuffix(")") in measured
 
 
 def causes_named(known: dict[str, Cause], names: Sequence[str], system: str) -> list[Cause]:

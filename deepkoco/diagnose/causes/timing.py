@@ -25,6 +25,15 @@ def _all_others(system: System, channel: int) -> tuple[int, ...]:
     return tuple(c for c in range(len(system.measurements)) if c != channel)
 
 
+def _positions(system: System, _: int) -> tuple[int, ...]:
+    return tuple(c for c, state in enumerate(system.measured_states) if state < system.joints)
+
+
+def _speeds(system: System) -> tuple[int, ...]:
+    joints = system.joints
+    return tuple(c for c, state in enumerate(system.measured_states) if joints <= state < 2 * joints)
+
+
 def _starts(name: str):
     def starts(hint: Hint) -> list[dict[str, float]]:
         scaled = [hint.interval / USUAL_INTERVAL * value for value in STARTS]
@@ -66,6 +75,18 @@ CHANNEL_DELAY = Cause(
     "command_rate",
     _rate,
     relative=_all_others,
+    tolerance=of_sample,
+)
+SPEED_DELAY = Cause(
+    "speed_delay",
+    "timing",
+    ("delay",),
+    "The speeds are older than the positions, all by the same time: a drive differentiates its encoder and filters.",
+    "Move the joints by hand and compare each speed with the slope of its position.",
+    "command_rate",
+    _rate,
+    relative=_positions,
+    several=_speeds,
     tolerance=of_sample,
 )
 LAG = Cause(

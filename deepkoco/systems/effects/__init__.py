@@ -43,6 +43,7 @@ from deepkoco.systems.effects.timing import (
     CLOCK_SKEW,
     LAG,
     SENSING_DELAY,
+    SPEED_DELAY,
     STAMP_LEAD,
 )
 from deepkoco.systems.effects.torque_speed_curve import TORQUE_SPEED_CURVE
@@ -56,6 +57,7 @@ EFFECTS: dict[str, Effect] = {
         ACTUATION_DELAY,
         SENSING_DELAY,
         CHANNEL_DELAY,
+        SPEED_DELAY,
         LAG,
         CLOCK_SKEW,
         STAMP_LEAD,

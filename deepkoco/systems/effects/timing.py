@@ -31,6 +31,15 @@ def _channel_delay(system: System, channel: int = 0) -> tuple[Parameter, ...]:
     return (Parameter("delay", 0.0, "s", 0.0, LONGEST_OF_CHANNEL, 0.05, text),)
 
 
+def _speed_delay(system: System, _: int = 0) -> tuple[Parameter, ...]:
+    shown = system.measured_states if system.shows_states else ()
+    speeds = sum(system.joints <= state < 2 * system.joints for state in shown)
+    if speeds < 2 or not any(state < system.joints for state in shown):
+        return ()  # there it is the delay of one channel, or of all measurements
+    text = "state to time stamp of every speed, beyond the delay of the positions"
+    return (Parameter("delay", 0.0, "s", 0.0, LONGEST_OF_CHANNEL, 0.05, text),)
+
+
 def _lag(system: System, _: int = 0) -> tuple[Parameter, ...]:
     return (Parameter("time_constant", 0.0, "s", 0.0, LONGEST, 0.05, "T, first-order lag of the actuator"),)
 
@@ -69,6 +78,14 @@ CHANNEL_DELAY = Effect(
     _channel_delay,
     "one channel is older than its time stamps",
     site="channel",
+)
+SPEED_DELAY = Effect(
+    "speed_delay",
+    "timing",
+    "timing",
+    _speed_delay,
+    "speeds are older than their time stamps",
+    site="system",
 )
 LAG = Effect(
     "lag",

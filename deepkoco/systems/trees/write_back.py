@@ -256,6 +256,7 @@ class _Writer:
 LEFT_OUT = {
     "sensing_delay": "delay the measurements in your own loop; MJCF delays sensors, not the state",
     "channel_delay": "delay this measurement in your own loop; MJCF delays sensors, not the state",
+    "speed_delay": "delay the speeds in your own loop; MJCF delays sensors, not the state",
     "sensor_bias": "correct the calibration of the sensor; it is no property of the robot",
     "speed_bias": "correct the calibration of the sensor; it is no property of the robot",
     "sensor_scale": "correct the calibration of the sensor; it is no property of the robot",

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 import torch
 
-from deepkoco.systems import load_system
+from deepkoco.systems import ExtendedSystem, load_system
+from deepkoco.systems.channel_delay import latest
 from deepkoco.systems.rollout import RolloutInput
 
 ARM = """
@@ -103,3 +104,22 @@ def test_steps_of_runge_kutta_are_those_of_a_machine(tmp_path):
     assert machine.engine is None
     assert machine.with_engine().engine == "MuJoCo"
     assert machine.with_engine().with_engine() is None
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0, 2.5])
+def test_a_late_position_makes_commands_later_only_where_it_is_later_than_the_speeds_of_the_engine(
+    tmp_path, share
+):
+    (tmp_path / "arm.xml").write_text(ARM.format("Euler", "enable"))
+    base = load_system(tmp_path / "arm.xml").with_engine()
+    p = base.default_parameters()
+    shown = float(latest(base.channel_delays(p)))
+    (name,) = [
+        f"channel_delay({c.name})"
+        for c, k in zip(base.measurements, base.measured_states, strict=True)
+        if k == 0
+    ]
+    late = ExtendedSystem(base, (name,), {f"{name}.delay": share * shown})
+    ours, theirs = (float(s.command_timing(0, s.default_parameters()).delay) for s in (late, base))
+    assert shown > 0.0
+    assert ours - theirs == pytest.approx(max(0.0, share - 1.0) * shown, abs=1e-15)
