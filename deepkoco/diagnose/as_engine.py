@@ -74,11 +74,13 @@ class Closest(NamedTuple):
         system: The system, as a machine or as an engine simulates it.
         left: What it leaves of some windows; None where nothing was asked.
         near: What the fits of these windows tell of further ones; None where nothing was asked.
+        on_time: Noise variances of a sample that a law leaves which has commands when they are logged.
     """
 
     system: System
     left: Left | None = None
     near: Near | None = None
+    on_time: float = math.inf
 
 
 def closest_of_logs(
@@ -109,16 +111,19 @@ def closest_of_logs(
         law, leaves = closest(system, left, nearest, held=held, noise=left.noise)
     except DivergedError:
         return Closest(system)
-    if not left.noise < leaves.per_sample <= FAR:
-        return Closest(law, leaves, left.near(law, leaves))
+    if leaves.per_sample <= left.noise:
+        return Closest(law, leaves, left.near(law, leaves), left.on_time)
+    told = leaves
     with contextlib.suppress(DivergedError):
         # Late commands hide that an engine has them early.
         late = left.late(system, held)
         if late.less_than(held) and (late.per_sample <= NEAR or late.cost <= LATE * held.cost):
-            other, leaves_late = closest(system, left.late, nearest, NOISE, late, left.noise)
-            if other.engine is not None:
+            other, leaves_late = closest(system, left.late, nearest, NEAR, late, left.noise)
+            plainly = leaves_late.per_sample <= NOISE or leaves_late.cost <= LATE * late.cost
+            if other.engine is not None and plainly:
                 law, leaves = other, leaves_late
-    return Closest(law, leaves, left.near(law, leaves))
+            told = leaves_late
+    return Closest(law, leaves, left.near(law, told), left.on_time)
 
 
 def closest(

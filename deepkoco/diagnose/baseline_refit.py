@@ -16,8 +16,10 @@ from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import ITERATIONS, Fit, FitProblem, Trial
 from deepkoco.fit.solve.command_noise import with_command_noise, with_noise_like
 from deepkoco.fit.solve.fine_steps import MOST, STEP_ROUNDS, fine_steps, with_steps_cut
+from deepkoco.fit.solve.frozen_slopes import FrozenSlopes
 from deepkoco.fit.solve.guessed_commands import with_lost_rows_fitted
 from deepkoco.fit.solve.lazy_batch import MANY
+from deepkoco.fit.solve.levenberg_marquardt import TOLERANCE
 from deepkoco.fit.solve.residual_noise import with_sharp_noise
 from deepkoco.fit.solve.rounded_commands import with_rounded_commands
 from deepkoco.fit.solve.scaled_inverse import DivergedError
@@ -65,7 +67,12 @@ def refit(
 
 
 def on_half_windows(
-    start: Baseline, windows: Windows, names: tuple[str, ...], iterations: int = ITERATIONS
+    start: Baseline,
+    windows: Windows,
+    names: tuple[str, ...],
+    iterations: int = ITERATIONS,
+    tolerance: float = TOLERANCE,
+    known: FrozenSlopes | None = None,
 ) -> Fit:
     """Fit the parameters on windows of half the length; with many parameters, on an even choice of them.
 
@@ -74,14 +81,34 @@ def on_half_windows(
         windows: The windows.
         names: Parameters to free.
         iterations: Largest number of simulations.
+        tolerance: Of the cost, as for :meth:`.FitProblem.fit`.
+        known: Slopes of a fit of the same windows under nearly the same law; None computes them.
 
     Raises:
         DivergedError: The simulation diverges at the present values.
     """
-    halves = halved(windows.take(few_windows(windows, len(names))))
-    short = FitProblem(start.system, halves)
-    state, _ = short.fit_states(start.values, halves.state)
-    return short.fit_one(Trial("half windows", names, start.prior, start.values, state), iterations)
+    short = _half_windows(start, windows, names)
+    state, _ = short.fit_states(start.values, short.windows.state)
+    trial = Trial("half windows", names, start.prior, start.values, state)
+    return short.fit_one(trial, iterations, tolerance, known, exact=known is None)
+
+
+def slopes_on_half_windows(start: Baseline, windows: Windows, fit: Fit) -> FrozenSlopes | None:
+    """Return the slopes of a fit on half windows, for fits under nearly the same law; None where these compute theirs.
+
+    Args:
+        start: Its prior.
+        windows: Its windows.
+        fit: The fit.
+    """
+    problem = _half_windows(start, windows, fit.free)
+    if not problem.keeps_slopes([Trial("slopes", fit.free, start.prior, fit.values, fit.state)]):
+        return None
+    return problem.slopes_at(fit.values, fit.free, fit.state, fit.nuisance)
+
+
+def _half_windows(start: Baseline, windows: Windows, names: tuple[str, ...]) -> FitProblem:
+    return FitProblem(start.system, halved(windows.take(few_windows(windows, len(names)))))
 
 
 def from_shorter_windows(start: Baseline, windows: Windows, names: tuple[str, ...]) -> Fit:

@@ -12,8 +12,9 @@ import numpy as np
 
 from deepkoco.diagnose.as_engine import as_engine_if_shown, closest_of_logs
 from deepkoco.diagnose.baseline import Baseline, Near, baseline_from
-from deepkoco.diagnose.baseline_refit import from_shorter_windows, on_half_windows
-from deepkoco.diagnose.left_of_logs import NOISE
+from deepkoco.diagnose.baseline_refit import from_shorter_windows, on_half_windows, slopes_on_half_windows
+from deepkoco.diagnose.late_speeds import with_late_speeds
+from deepkoco.diagnose.left_of_logs import ENOUGH, NOISE
 from deepkoco.diagnose.residuals.residuals import white_limit
 from deepkoco.fit.data.halves import halved
 from deepkoco.fit.data.windows import Windows, cut_windows, moving
@@ -69,15 +70,15 @@ def as_recorded(
     """
     if learned is not None:
         return Read(as_engine_if_shown(recordings, system, length, learned), learned.early)
-    held, left_of_held, near = closest_of_logs(recordings, system, length)
+    held, left_of_held, near, on_time = closest_of_logs(recordings, system, length)
     as_held = Read(held, 0.0, near)
-    if left_of_held is not None and held.engine is None and left_of_held.per_sample <= NOISE:
+    if on_time <= NOISE:
         return as_held
     early = lead_of_commands(recordings, system, length, near)
     if early == 0.0:
         return as_held
     moved = [with_early_commands(own, early) for own in recordings]
-    around, left_of_around, near_around = closest_of_logs(moved, system, length, near)
+    around, left_of_around, near_around, _ = closest_of_logs(moved, system, length, near)
     as_around = Read(around, early, near_around)
     log.debug("from their rows on %s, around them %s", left_of_held, left_of_around)
     if left_of_held is None or left_of_around is None:
@@ -111,7 +112,8 @@ def lead_of_commands(
         return 0.0
     windows = windows.take(np.unique(np.linspace(0, len(windows) - 1, SOME).astype(int)))
     try:
-        return _lead(replace(baseline_from(system, windows), near=near), windows, float(np.median(rows)))
+        start = with_late_speeds(replace(baseline_from(system, windows), near=near), windows)
+        return _lead(start, windows, float(np.median(rows)))
     except DivergedError:
         return 0.0
 
@@ -140,11 +142,13 @@ def _lead(start: Baseline, windows: Windows, row: float) -> float:
     if noisy is not windows:
         # The same noise for all: what is left of each is then compared in the same measure.
         windows = noisy
-        held = on_half_windows(start, windows, names, FURTHER)
+        held = on_half_windows(start, windows, names, FURTHER, ENOUGH)
+
+    slopes = slopes_on_half_windows(start, windows, held)
 
     def left(rows: float) -> Fit:
         moved = tuple(replace(c, t=c.t - rows * row) for c in windows.commands)
-        return on_half_windows(start, replace(windows, commands=moved), names, FURTHER)
+        return on_half_windows(start, replace(windows, commands=moved), names, FURTHER, ENOUGH, slopes)
 
     fits = {share: left(share) for share in (0.5 * EARLIEST, EARLIEST)}
     costs = {0.0: held.chi2, **{share: fit.chi2 for share, fit in fits.items()}}

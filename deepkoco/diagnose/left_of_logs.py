@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -11,14 +12,21 @@ import numpy as np
 import torch
 
 from deepkoco.diagnose.baseline import Baseline, Near, baseline_from
-from deepkoco.diagnose.baseline_refit import few_windows, on_half_windows
+from deepkoco.diagnose.baseline_refit import (
+    few_windows,
+    from_shorter_windows,
+    on_half_windows,
+    slopes_on_half_windows,
+)
 from deepkoco.diagnose.causes.timing import STARTS
+from deepkoco.diagnose.late_speeds import with_late_speeds
 from deepkoco.fit.data.halves import halved
 from deepkoco.fit.data.own_steps import in_steps_of
 from deepkoco.fit.data.windows import CommandSeries, Windows
 from deepkoco.fit.fit import ITERATIONS, Fit, FitProblem, Trial
 from deepkoco.fit.solve.command_noise import LEFT, with_command_noise, with_noise_like
 from deepkoco.fit.solve.fine_steps import fine_steps, with_steps_cut
+from deepkoco.fit.solve.frozen_slopes import FrozenSlopes
 from deepkoco.fit.solve.lazy_batch import MANY
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.systems import System
@@ -36,6 +44,7 @@ NOISE = 1.2  # noise variances that a simulation leaves of its own logs
 # Iterations of further fits of many parameters. Each begins where the one before ended, and other steps change little.
 # A robot that its file describes badly would go on for long. The first of them show whether a delay matters.
 FURTHER, FIRST = 16, 4
+ENOUGH = 1.0  # fall of the cost by a step below which a fit has told what a law leaves: little beside MARGIN
 DELAYS = ("actuation_delay(all).delay", "actuation_delay.delay")  # of several commands, and of one
 
 
@@ -78,6 +87,10 @@ class LeftOfLogs:
         self._values: dict[str, float] = {} if near is None else {**near.values}
         self._each = np.zeros(len(windows))  # chi2 per sample of each window that the last refit saw
         self._parts = 1  # of a step of the machine
+        self._on_time: dict[
+            str | None, float
+        ] = {}  # noise variances a sample, of laws without steps of their own
+        self._slopes: FrozenSlopes | None = None  # of the last fit whose slopes are its own
 
     def __call__(self, law: System) -> Left:
         """Refit the parameters of the robot, and say what is left.
@@ -90,7 +103,7 @@ class LeftOfLogs:
         if self._near is not None and windows.wander is None:
             problem_of = partial(FitProblem, start.system)
             windows = self._kept_noise(with_noise_like(problem_of, windows, start.values, self._near.wander))
-        fit = on_half_windows(start, windows, names, self._iterations(windows, names))
+        fit = self._refit(start, windows, names)
         if law.engine is None and windows.wander is None and fit.chi2 > NOISE * max(windows.samples, 1):
             state = windows.state.clone()
             state[torch.from_numpy(few_windows(windows, len(names)))] = fit.state[::2]
@@ -98,7 +111,7 @@ class LeftOfLogs:
             if noisy is not windows:
                 windows = self._kept_noise(noisy)
                 start = replace(start, values={**start.values, **{n: fit.values[n] for n in names}})
-                fit = on_half_windows(start, windows, names, self._iterations(windows, names))
+                fit = self._refit(start, windows, names)
         if law.engine is None and fit.chi2 > NOISE * max(windows.samples, 1):
             # Steps that are too long for these logs leave something, too, and an engine's own are shorter.
             problem_of = partial(FitProblem, start.system)
@@ -109,9 +122,19 @@ class LeftOfLogs:
                 trial = Trial("fine steps", names, start.prior, fit.values, fit.state, fit.nuisance)
                 fit = problem_of(with_steps_cut(halves, parts)).fit_one(trial)
         own = (fit.residual**2).flatten(1).sum(1).reshape(-1, 2).sum(1)  # both halves of each window
+        if not law.engine_step:
+            self._on_time[law.engine] = fit.chi2 / max(windows.samples, 1)
         chosen = few_windows(windows, len(names))
         self._each[chosen] = own.numpy() / windows.valid[chosen].flatten(1).sum(1).clamp_min(1).numpy()
         return self._kept(fit, names)
+
+    @property
+    def on_time(self) -> float:
+        """Noise variances of a sample that some law leaves which has commands when they are logged.
+
+        An engine has them half a step early, so these are the machine and an engine whose steps are short.
+        """
+        return min(self._on_time.values(), default=math.inf)
 
     @property
     def noise(self) -> float:
@@ -127,13 +150,15 @@ class LeftOfLogs:
         """
         if left.values is None or left.per_sample > FAR:
             return None
-        known = {n: v for n, v in left.values.items() if n not in DELAYS}
+        # Delays of commands and speeds may be what is hidden in the logs.
+        body = baseline_from(law, self.windows).prior.names
+        known = {n: v for n, v in left.values.items() if n in body}
         wander = self.windows.wander
         if wander is not None and law.engine is not None:
             # It was found beside a machine. What an engine does otherwise could be taken for it.
             windows = in_steps_of(replace(self.windows, commands=self.logged, wander=None), law)
             start = baseline_from(law, windows)
-            values = {**start.values, **known}
+            values = {**start.values, **{n: v for n, v in left.values.items() if n not in DELAYS}}
             wander = with_command_noise(
                 partial(FitProblem, start.system), windows, values, windows.state
             ).wander
@@ -176,7 +201,22 @@ class LeftOfLogs:
         if than is not None and some < steps and best.cost <= LESS * than.cost:
             trial = Trial("late", prior.names, prior, best.values, best.state, best.nuisance)
             fits = [best, *(fit for fit in problem.fit([trial], steps) if not fit.diverged)]
-        return self._kept(min(fits, key=lambda fit: fit.cost), prior.names)
+        best = min(fits, key=lambda fit: fit.cost)
+        if not law.engine_step:
+            self._on_time[f"{law.engine}, late"] = best.chi2 / max(windows.samples, 1)
+        return self._kept(best, prior.names)
+
+    def _refit(self, start: Baseline, windows: Windows, names: tuple[str, ...]) -> Fit:
+        """Fit half windows, with the slopes of a law before where there are many parameters.
+
+        Other steps of an engine hardly change the slopes, whose simulations are most of the work of such a fit.
+        """
+        fit = on_half_windows(start, windows, names, self._iterations(windows, names), ENOUGH, self._slopes)
+        if not self._values and fit.chi2 > FAR * max(windows.samples, 1):
+            fit = min(fit, from_shorter_windows(start, windows, names), key=lambda own: own.cost)
+        if self._slopes is None:
+            self._slopes = slopes_on_half_windows(start, windows, fit)
+        return fit
 
     def _iterations(self, windows: Windows, names: Sequence[str]) -> int:
         many = len(names) + windows.state.shape[1] >= MANY
@@ -184,11 +224,12 @@ class LeftOfLogs:
 
     def _kept_noise(self, noisy: Windows) -> Windows:
         """Keep the noise of the commands of windows, which does nearly the same whatever the law; return these."""
+        self._slopes = None
         self.windows = replace(self.windows, commands=noisy.commands, wander=noisy.wander, noise=noisy.noise)
         return noisy
 
     def _start(self, law: System) -> tuple[Baseline, Windows]:
-        start = baseline_from(law, self.windows)
+        start = with_late_speeds(baseline_from(law, self.windows), self.windows)
         windows = in_steps_of(self.windows, law)
         windows = with_steps_cut(windows, self._parts) if law.engine is None else windows
         return replace(start, values={**start.values, **self._values}), windows

@@ -47,18 +47,20 @@ def shorter_first(
         The fit of these windows with the lower cost.
 
     Raises:
-        DivergedError: The simulation diverges at the start values.
+        DivergedError: The simulation diverges at the start values, and so does one from those of shorter windows.
     """
     problem = FitProblem(system, windows)
     state, _ = problem.fit_states(values, windows.state)
-    found = problem.fit_one(Trial("windows", names, prior, values, state), iterations)
-    if found.converged and not found.stuck and found.chi2 <= LARGE_MISFIT * windows.samples:
+    trial = Trial("windows", names, prior, values, state)
+    found = problem.fit([trial], iterations)[0]
+    good = found.converged and not (found.diverged or found.stuck)
+    if good and found.chi2 <= LARGE_MISFIT * windows.samples:
         return found
     levels = [problem]
     while (shorter := _parts(levels[-1].windows)) is not None:
         levels.append(FitProblem(system, shorter))
     if len(levels) == 1:
-        return found
+        return problem.fit_one(trial, iterations) if found.diverged else found
     shortest = levels.pop()
     state, _ = shortest.fit_states(values, shortest.windows.state)
     fit = shortest.fit([Trial("windows", names, prior, values, state)], iterations)[0]
@@ -67,7 +69,9 @@ def shorter_first(
         first = fit.state[:: len(fit.state) // len(longer.windows)]
         state, _ = longer.fit_states(fit.values, first)
         fit = longer.fit([Trial("windows", names, prior, fit.values, state, fit.nuisance)], iterations)[0]
-    return fit if not fit.diverged and fit.cost < found.cost else found
+    if found.diverged and fit.diverged:
+        return problem.fit_one(trial, iterations)
+    return found if fit.diverged or found.cost <= fit.cost else fit
 
 
 def _parts(windows: Windows) -> Windows | None:

@@ -135,13 +135,20 @@ class FitProblem(ShootingProblem):
         tangent = Tangent.at(self, theta, columns, state)
         return slopes_at(self, tangent, simulated(self, [tangent], nuisance[None]), names)
 
-    def fit_one(self, trial: Trial, iterations: int = ITERATIONS, tolerance: float = TOLERANCE) -> Fit:
+    def fit_one(
+        self,
+        trial: Trial,
+        iterations: int = ITERATIONS,
+        tolerance: float = TOLERANCE,
+        known: FrozenSlopes | None = None,
+        exact: bool = True,
+    ) -> Fit:
         """As :meth:`fit` for one trial, but raises if it diverges.
 
         Raises:
             DivergedError: The simulation diverges at the start values.
         """
-        fit = self.fit([trial], iterations, tolerance)[0]
+        fit = self.fit([trial], iterations, tolerance, known, exact)[0]
         if fit.diverged:
             raise DivergedError(
                 f"{trial.name}: the simulation of {self.system.base.name} diverges at {self._far_from_nominal(fit)}"

@@ -106,7 +106,8 @@ def _of_one_lane(
 ) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
     """Return windows, lanes and lines of each log, where all logs have the same parameters and there is one lane.
 
-    Logs that share their stamps pass the actuator together: a search for lost commands makes a hundred of one log.
+    Logs that share their stamps pass the actuator together: a search for lost commands makes a hundred of one log, and
+    so does one for noise of the commands.
     """
     timing = system.command_timing(index, parameters)
     delay, skew, lags = _times(system, index, timing, 1)
@@ -114,18 +115,28 @@ def _of_one_lane(
     for number in np.unique(windows.log).tolist():
         alike.setdefault(id(windows.commands[number].t), []).append(number)
     parts, one = [], np.zeros(1, dtype=int)
+    of_logs = np.argsort(windows.log, kind="stable")
+    starts = np.searchsorted(windows.log[of_logs], np.arange(len(windows.commands) + 1))
     for numbers in alike.values():
         command = windows.commands[numbers[0]]
         given = torch.from_numpy(np.stack([windows.commands[n].column(index) for n in numbers], axis=1))
         shaped = system.shape_command(index, given, torch.from_numpy(command.t), parameters)
         effort = np.ascontiguousarray(shaped.expand(len(given), len(numbers)).numpy().T)
         series = HeldEfforts(command, effort, [lag.repeat(len(numbers)) for lag in lags])
+        together: dict[bytes, list[tuple[int, np.ndarray]]] = {}
         for row, number in enumerate(numbers):
-            own = np.flatnonzero(windows.log == number)
-            edges = windows.t0[own]
+            own = of_logs[starts[number] : starts[number + 1]]
+            together.setdefault(windows.t0[own].tobytes(), []).append((row, own))
+        for same in together.values():
+            rows, edges = np.array([row for row, _ in same]), windows.t0[same[0][1]]
             late = delay[:, None] + skew[:, None] * (edges + 0.5 * windows.length - command.t[0])
-            a, b = series.steps(np.array([row]), late, edges, windows.step, windows.steps)
-            parts.append((own, one, a, b))
+            late = np.repeat(late, len(rows), axis=0)
+            # (n, w, R) of R logs with windows at the same times: to the windows of all of them
+            a, b = (
+                each.transpose(0, 2, 1).reshape(windows.steps, -1, 1)
+                for each in series.steps(rows, late, edges, windows.step, windows.steps)
+            )
+            parts.append((np.concatenate([own for _, own in same]), one, a, b))
     return parts
 
 

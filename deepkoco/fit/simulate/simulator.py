@@ -140,22 +140,37 @@ def predict(
         measured = system.measure_at(state, began + time[..., None], parameters)
         return measured.permute(2, 0, 3, 1).contiguous()
     result = torch.empty(initial.shape[0], count, channels, samples, dtype=torch.float64)
-    measured: Tensor | None = None
-    stamped = 0  # channel at whose stamps `measured` is
-    for c in range(channels):
-        time = windows.t[:, c, :, None]
-        if c in delays:
-            late = time - delays[c]
-            state = states_at(nodes, late.expand(-1, -1, initial.shape[0]), windows.step)
-            shown = system.measure_at(state, began + late, parameters)[..., c]
-            result[:, :, c] = shown.permute(2, 0, 1)
-            continue
-        if measured is None or not torch.equal(windows.t[:, c], windows.t[:, stamped]):
-            stamped = c
-            state = states_at(nodes, windows.t[:, c], windows.step)
-            measured = system.measure_at(state, began + time, parameters)
-        result[:, :, c] = measured[..., c].permute(2, 0, 1)
+    for own in _at_the_same_times(windows.t, delays):
+        time, lag = windows.t[:, own[0], :, None], delays.get(own[0])
+        if lag is None:
+            state = states_at(nodes, windows.t[:, own[0]], windows.step)
+        else:
+            time = time - lag
+            state = states_at(nodes, time.expand(-1, -1, initial.shape[0]), windows.step)
+        measured = system.measure_at(state, began + time, parameters)
+        for c in own:
+            result[:, :, c] = measured[..., c].permute(2, 0, 1)
     return result
+
+
+def _at_the_same_times(t: Tensor, delays: Mapping[int, Tensor]) -> list[list[int]]:
+    """Group channels that show states at the same times.
+
+    Args:
+        t: (W, N, M) time stamps.
+        delays: Channel -> (L,) lag behind its stamps.
+    """
+    groups: list[list[int]] = []
+    for c in range(t.shape[1]):
+        for group in groups:
+            first, own = delays.get(group[0]), delays.get(c)
+            alike = first is own if first is None or own is None else torch.equal(first, own)
+            if alike and torch.equal(t[:, group[0]], t[:, c]):
+                group.append(c)
+                break
+        else:
+            groups.append([c])
+    return groups
 
 
 def _log_starts(windows: Windows) -> np.ndarray:

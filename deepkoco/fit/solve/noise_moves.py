@@ -79,6 +79,7 @@ def moves_of(
     pieces = max(math.ceil(count / each), 1)
     result = torch.zeros(len(rows), *windows.value.shape[1:], len(sd), pieces, dtype=torch.float64)
     block = max(LANES // pieces, 1)
+    acting = [_acting(windows, w) for w in range(len(windows))]
     for index, size in enumerate(sd):
         for begin in range(0, len(rows) if size > 0.0 else 0, block):
             picked = np.arange(begin, min(begin + block, len(rows)))
@@ -88,7 +89,7 @@ def moves_of(
             of_window = np.repeat(rows[picked], pieces + 1)
             logs = windows.log[of_window]
             commands = tuple(
-                _moved(windows, w, index, int(at), each, float(by))
+                _moved(acting[w], index, int(at), each, float(by))
                 for w, at, by in zip(of_window, places.ravel(), np.tile(sizes, len(picked)), strict=True)
             )
             many = replace(
@@ -107,12 +108,27 @@ def moves_of(
     return result
 
 
-def _moved(windows: Windows, w: int, index: int, first: int, count: int, by: float) -> CommandSeries:
-    """Return the commands that act in a window, with some of one command moved."""
+def _acting(windows: Windows, w: int) -> tuple[CommandSeries, int]:
+    """Return the commands that act in a window, and the number of the first of them in their log."""
     command = windows.commands[windows.log[w]]
     begin, end = windows.t0[w] - HISTORY - WARM_UP * windows.length, windows.t0[w] + windows.length
-    part = slice(max(int(np.searchsorted(command.t, begin)) - 1, 0), int(np.searchsorted(command.t, end)) + 1)
-    value = np.array(command.value[part], dtype=float)
+    first = max(int(np.searchsorted(command.t, begin)) - 1, 0)
+    part = slice(first, int(np.searchsorted(command.t, end)) + 1)
+    return CommandSeries(command.t[part], np.array(command.value[part], dtype=float)), first
+
+
+def _moved(acting: tuple[CommandSeries, int], index: int, first: int, count: int, by: float) -> CommandSeries:
+    """Return commands with some of one command moved; they share their stamps, so one pass simulates all of them.
+
+    Args:
+        acting: The commands of a window, and the number of the first of them in their log.
+        index: Which command is moved.
+        first: Number of the first value that is moved, in the log.
+        count: How many values are moved.
+        by: By how much.
+    """
+    command, start = acting
+    value = command.value.copy()
     column = value if value.ndim == 1 else value[:, index]
-    column[max(first - part.start, 0) : max(first - part.start + count, 0)] += by
-    return CommandSeries(command.t[part], value)
+    column[max(first - start, 0) : max(first - start + count, 0)] += by
+    return CommandSeries(command.t, value)
