@@ -74,13 +74,16 @@ class Closest(NamedTuple):
         system: The system, as a machine or as an engine simulates it.
         left: What it leaves of some windows; None where nothing was asked.
         near: What the fits of these windows tell of further ones; None where nothing was asked.
-        on_time: Noise variances of a sample that a law leaves which has commands when they are logged.
+        on_time: The system by the law that leaves least of those that have commands when they are logged; None where
+            nothing was asked.
+        early: Whether early commands matter: no such law leaves as little, and only noise.
     """
 
     system: System
     left: Left | None = None
     near: Near | None = None
-    on_time: float = math.inf
+    on_time: System | None = None
+    early: bool = False
 
 
 def closest_of_logs(
@@ -112,7 +115,7 @@ def closest_of_logs(
     except DivergedError:
         return Closest(system)
     if leaves.per_sample <= left.noise:
-        return Closest(law, leaves, left.near(law, leaves), left.on_time)
+        return _closest(law, leaves, leaves, left)
     told = leaves
     with contextlib.suppress(DivergedError):
         # Late commands hide that an engine has them early.
@@ -123,7 +126,23 @@ def closest_of_logs(
             if other.engine is not None and plainly:
                 law, leaves = other, leaves_late
             told = leaves_late
-    return Closest(law, leaves, left.near(law, told), left.on_time)
+    return _closest(law, leaves, told, left)
+
+
+def _closest(law: System, leaves: Left, told: Left, left: LeftOfLogs) -> Closest:
+    """Return what was found.
+
+    Args:
+        law: The system.
+        leaves: What it leaves.
+        told: What it leaves where that is known better, beside a delay of all commands.
+        left: Which was asked.
+    """
+    on_time = left.on_time
+    if on_time is None:
+        return Closest(law, leaves, left.near(law, told))
+    early = on_time.left.per_sample > left.noise or told.less_than(on_time.left)
+    return Closest(law, leaves, left.near(law, told), on_time.law, early)
 
 
 def closest(

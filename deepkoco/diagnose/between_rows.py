@@ -14,7 +14,7 @@ from deepkoco.diagnose.as_engine import as_engine_if_shown, closest_of_logs
 from deepkoco.diagnose.baseline import Baseline, Near, baseline_from
 from deepkoco.diagnose.baseline_refit import from_shorter_windows, on_half_windows, slopes_on_half_windows
 from deepkoco.diagnose.late_speeds import with_late_speeds
-from deepkoco.diagnose.left_of_logs import ENOUGH, NOISE
+from deepkoco.diagnose.left_of_logs import ENOUGH
 from deepkoco.diagnose.residuals.residuals import white_limit
 from deepkoco.fit.data.halves import halved
 from deepkoco.fit.data.windows import Windows, cut_windows, moving
@@ -70,16 +70,17 @@ def as_recorded(
     """
     if learned is not None:
         return Read(as_engine_if_shown(recordings, system, length, learned), learned.early)
-    held, left_of_held, near, on_time = closest_of_logs(recordings, system, length)
-    as_held = Read(held, 0.0, near)
-    if on_time <= NOISE:
+    found = closest_of_logs(recordings, system, length)
+    left_of_held, as_held = found.left, Read(found.system, 0.0, found.near)
+    if found.on_time is not None and not found.early:
         return as_held
-    early = lead_of_commands(recordings, system, length, near)
+    on_time = system if found.on_time is None else found.on_time
+    early = lead_of_commands(recordings, on_time, length, found.near)
     if early == 0.0:
         return as_held
     moved = [with_early_commands(own, early) for own in recordings]
-    around, left_of_around, near_around, _ = closest_of_logs(moved, system, length, near)
-    as_around = Read(around, early, near_around)
+    around = closest_of_logs(moved, system, length, found.near)
+    left_of_around, as_around = around.left, Read(around.system, early, around.near)
     log.debug("from their rows on %s, around them %s", left_of_held, left_of_around)
     if left_of_held is None or left_of_around is None:
         return as_around

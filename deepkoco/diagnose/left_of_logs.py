@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -70,6 +69,13 @@ class Left(NamedTuple):
         return other.cost - self.cost > MARGIN * max(self.per_sample, 1.0)
 
 
+class OnTime(NamedTuple):
+    """A law that has commands when they are logged, or later, and what it leaves of the logs."""
+
+    law: System
+    left: Left
+
+
 class LeftOfLogs:
     """Refits on halves of some windows; each begins at the values of the one before.
 
@@ -87,9 +93,7 @@ class LeftOfLogs:
         self._values: dict[str, float] = {} if near is None else {**near.values}
         self._each = np.zeros(len(windows))  # chi2 per sample of each window that the last refit saw
         self._parts = 1  # of a step of the machine
-        self._on_time: dict[
-            str | None, float
-        ] = {}  # noise variances a sample, of laws without steps of their own
+        self._on_time: dict[tuple[str | None, tuple[str, ...]], OnTime] = {}
         self._slopes: FrozenSlopes | None = None  # of the last fit whose slopes are its own
 
     def __call__(self, law: System) -> Left:
@@ -122,19 +126,17 @@ class LeftOfLogs:
                 trial = Trial("fine steps", names, start.prior, fit.values, fit.state, fit.nuisance)
                 fit = problem_of(with_steps_cut(halves, parts)).fit_one(trial)
         own = (fit.residual**2).flatten(1).sum(1).reshape(-1, 2).sum(1)  # both halves of each window
-        if not law.engine_step:
-            self._on_time[law.engine] = fit.chi2 / max(windows.samples, 1)
         chosen = few_windows(windows, len(names))
         self._each[chosen] = own.numpy() / windows.valid[chosen].flatten(1).sum(1).clamp_min(1).numpy()
-        return self._kept(fit, names)
+        return self._kept(law, fit, names)
 
     @property
-    def on_time(self) -> float:
-        """Noise variances of a sample that some law leaves which has commands when they are logged.
+    def on_time(self) -> OnTime | None:
+        """The law that leaves least of those that have commands when they are logged, or later; None where none is.
 
         An engine has them half a step early, so these are the machine and an engine whose steps are short.
         """
-        return min(self._on_time.values(), default=math.inf)
+        return min(self._on_time.values(), key=lambda own: own.left.cost, default=None)
 
     @property
     def noise(self) -> float:
@@ -201,10 +203,7 @@ class LeftOfLogs:
         if than is not None and some < steps and best.cost <= LESS * than.cost:
             trial = Trial("late", prior.names, prior, best.values, best.state, best.nuisance)
             fits = [best, *(fit for fit in problem.fit([trial], steps) if not fit.diverged)]
-        best = min(fits, key=lambda fit: fit.cost)
-        if not law.engine_step:
-            self._on_time[f"{law.engine}, late"] = best.chi2 / max(windows.samples, 1)
-        return self._kept(best, prior.names)
+        return self._kept(law, min(fits, key=lambda fit: fit.cost), prior.names)
 
     def _refit(self, start: Baseline, windows: Windows, names: tuple[str, ...]) -> Fit:
         """Fit half windows, with the slopes of a law before where there are many parameters.
@@ -234,6 +233,9 @@ class LeftOfLogs:
         windows = with_steps_cut(windows, self._parts) if law.engine is None else windows
         return replace(start, values={**start.values, **self._values}), windows
 
-    def _kept(self, fit: Fit, names: tuple[str, ...]) -> Left:
+    def _kept(self, law: System, fit: Fit, names: tuple[str, ...]) -> Left:
         self._values.update({name: fit.values[name] for name in names})
-        return Left(fit.cost, fit.chi2 / max(self.windows.samples, 1), dict(self._values))
+        left = Left(fit.cost, fit.chi2 / max(self.windows.samples, 1), dict(self._values))
+        if not law.engine_step:
+            self._on_time[law.engine, names] = OnTime(law, left)
+        return left
