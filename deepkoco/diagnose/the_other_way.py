@@ -11,7 +11,7 @@ from deepkoco.diagnose.as_engine import closest
 from deepkoco.diagnose.baseline import baseline_from, with_gauges_fixed
 from deepkoco.diagnose.evidence.priors import prior_with
 from deepkoco.diagnose.explanation import Explanation
-from deepkoco.diagnose.left_of_logs import Left
+from deepkoco.diagnose.left_of_logs import LESS, Left
 from deepkoco.diagnose.request import DiagnosisRequest
 from deepkoco.diagnose.weighed import explained
 from deepkoco.fit.data.own_steps import in_steps_of, nearest_own_step
@@ -90,4 +90,13 @@ def _closer(machine: ExtendedSystem, now: ExtendedSystem, explanation: Explanati
 
     other, _ = closest(machine, left, partial(nearest_own_step, windows))
     log.debug("with causes: %s", known)
-    return other if left(other).less_than(left(now)) else None
+    return other if _counts(left(other), left(now)) else None
+
+
+def _counts(other: Left, now: Left) -> bool:
+    """Whether another law leaves so much less of what is no noise that all causes are asked again with it.
+
+    Where a robot is described badly, any change leaves a little less, and other steps of the same engine do.
+    """
+    beyond, before = max(other.per_sample - 1.0, 0.0), max(now.per_sample - 1.0, 0.0)
+    return other.less_than(now) and beyond <= LESS * before
