@@ -7,10 +7,12 @@ import pytest
 import torch
 
 from deepkoco import Channel, Parameter, System
-from deepkoco.fit import fit
+from deepkoco.fit import cut_windows, fit
+from deepkoco.fit.simulate.simulator import predict
 from deepkoco.logs.recording import Recording, Series
 from deepkoco.systems import ExtendedSystem, make_system
 from deepkoco.systems.effects import effects_of
+from tests.oracle.unit import hidden_log
 
 
 class Tray(System):
@@ -100,3 +102,23 @@ def test_one_speed_has_no_delay_of_all_speeds():
     assert "speed_delay" in effects_of(make_system("two_link_arm"))
     assert "speed_delay" not in effects_of(make_system("rod_pendulum"))
     assert "speed_delay" not in effects_of(Tray())
+
+
+def test_speeds_that_are_late_together_are_shown_as_if_each_were_late():
+    base = make_system("two_link_arm")
+    windows = cut_windows([hidden_log("two_link_arm", {}, "steps", 4, 4.0)], base, 1.0)
+    speeds = [c.name for c in base.measurements if c.unit == "rad/s"]
+    shown = []
+    for names in (("speed_delay",), tuple(f"channel_delay({c})" for c in speeds)):
+        system = ExtendedSystem(base, names, {f"{n}.delay": 0.02 for n in names})
+        values = {n: v.reshape(1) for n, v in system.default_parameters().items()}
+        shown.append(predict(system, windows, values, windows.state[None]))
+    assert torch.equal(*shown)
+    prompt = predict(
+        base, windows, {n: v.reshape(1) for n, v in base.default_parameters().items()}, windows.state[None]
+    )
+    late = [k >= base.joints for k in base.measured_states]
+    # The window begins at the state that the late channels show, so the positions are ahead by the delay.
+    assert not torch.allclose(
+        shown[0][:, :, [not x for x in late]], prompt[:, :, [not x for x in late]], atol=1e-4
+    )

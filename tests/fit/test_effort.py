@@ -244,3 +244,17 @@ def test_logs_that_are_computed_together_have_the_efforts_of_each_alone(values):
         alone = efforts(own, **values)
         np.testing.assert_array_equal(start[w], alone[0][0])
         np.testing.assert_array_equal(slope[w], alone[1][0])
+
+
+@pytest.mark.parametrize("values", [{}, {"lag__time_constant": 0.03, "actuation_delay__delay": 0.013}])
+def test_copies_of_a_log_with_the_same_windows_have_the_efforts_of_each_alone(values):
+    rng, t = np.random.default_rng(2), np.arange(0.0, 3.0, 0.05)
+    logs = [CommandSeries(t, rng.uniform(-1.0, 1.0, 60)) for _ in range(3)]
+    one = windows_of(t, logs[0].value, [0.5, 1.5, 0.5, 0.5, 1.5, 1.5], 0.01, 40)
+    together = replace(one, commands=tuple(logs), log=np.array([2, 0, 1, 0, 2, 1]))
+    start, slope = efforts(together, **values)
+    for w, log in enumerate(together.log):
+        own = replace(one.take(np.array([w])), commands=(logs[log],), log=np.zeros(1, dtype=int))
+        alone = efforts(own, **values)
+        np.testing.assert_array_equal(start[w], alone[0][0])
+        np.testing.assert_array_equal(slope[w], alone[1][0])
