@@ -37,7 +37,8 @@ SOME, FEW = 16, 6  # windows that decide, and those that do where a fit has many
 # Noise variances that a simulation by the engine leaves of its own logs at most. A real robot that its file describes
 # badly leaves hundreds with either law, and which of two refits ends lower says nothing of friction.
 NEAR = 10.0
-LATE = 0.1  # share that a delay of all commands leaves, where it hides the steps of an engine
+# Share that a delay of all commands leaves, where it hides the steps of an engine, and the engine beside it of that.
+LATE = 0.1
 LONGEST = 4.0  # step that a parabola may lead to, over the longest of its three
 SHARES = (0.5, 0.125)  # of the usual step, which are tried first
 DIGITS = 2  # of a step that is found
@@ -74,9 +75,9 @@ class Closest(NamedTuple):
         system: The system, as a machine or as an engine simulates it.
         left: What it leaves of some windows; None where nothing was asked.
         near: What the fits of these windows tell of further ones; None where nothing was asked.
-        on_time: The system by the law that leaves least of those that have commands when they are logged; None where
-            nothing was asked.
-        early: Whether early commands matter: no such law leaves as little, and only noise.
+        on_time: The system by the law that leaves least of those that have commands when they are logged, or later;
+            None where nothing was asked.
+        early: Whether early commands matter: this law leaves more than noise, or clearly more than what was found.
     """
 
     system: System
@@ -123,9 +124,9 @@ def closest_of_logs(
         if late.less_than(held) and (late.per_sample <= NEAR or late.cost <= LATE * held.cost):
             other, leaves_late = closest(system, left.late, nearest, NEAR, late, left.noise)
             plainly = leaves_late.per_sample <= NOISE or leaves_late.cost <= LATE * late.cost
+            told = late
             if other.engine is not None and plainly:
-                law, leaves = other, leaves_late
-            told = leaves_late
+                law, leaves, told = other, leaves_late, leaves_late
     return _closest(law, leaves, told, left)
 
 

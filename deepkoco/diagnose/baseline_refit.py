@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -72,7 +73,7 @@ def on_half_windows(
     names: tuple[str, ...],
     iterations: int = ITERATIONS,
     tolerance: float = TOLERANCE,
-    known: FrozenSlopes | None = None,
+    known: SlopesOfHalves | None = None,
 ) -> Fit:
     """Fit the parameters on windows of half the length; with many parameters, on an even choice of them.
 
@@ -82,7 +83,7 @@ def on_half_windows(
         names: Parameters to free.
         iterations: Largest number of simulations.
         tolerance: Of the cost, as for :meth:`.FitProblem.fit`.
-        known: Slopes of a fit of the same windows under nearly the same law; None computes them.
+        known: Slopes of a fit under nearly the same law, for the same samples; None computes them.
 
     Raises:
         DivergedError: The simulation diverges at the present values.
@@ -90,10 +91,33 @@ def on_half_windows(
     short = _half_windows(start, windows, names)
     state, _ = short.fit_states(start.values, short.windows.state)
     trial = Trial("half windows", names, start.prior, start.values, state)
-    return short.fit_one(trial, iterations, tolerance, known, exact=known is None)
+    slopes = None if known is None else known.of(short.windows)
+    return short.fit_one(trial, iterations, tolerance, slopes, exact=slopes is None)
 
 
-def slopes_on_half_windows(start: Baseline, windows: Windows, fit: Fit) -> FrozenSlopes | None:
+class SlopesOfHalves(NamedTuple):
+    """Slopes of a fit on half windows.
+
+    Attributes:
+        windows: The half windows.
+        slopes: Whitened slopes.
+    """
+
+    windows: Windows
+    slopes: FrozenSlopes
+
+    def of(self, windows: Windows) -> FrozenSlopes | None:
+        """Return the slopes for half windows of the same samples; None where these are cut elsewhere.
+
+        An engine whose steps are those of the commands cuts between two of them, and a machine in the middle.
+        """
+        own = self.windows
+        same = windows.t.shape == own.t.shape and (windows.t0 == own.t0).all()
+        same = same and torch.equal(windows.t, own.t) and torch.equal(windows.valid, own.valid)
+        return self.slopes if same else None
+
+
+def slopes_on_half_windows(start: Baseline, windows: Windows, fit: Fit) -> SlopesOfHalves | None:
     """Return the slopes of a fit on half windows, for fits under nearly the same law; None where these compute theirs.
 
     Args:
@@ -104,7 +128,8 @@ def slopes_on_half_windows(start: Baseline, windows: Windows, fit: Fit) -> Froze
     problem = _half_windows(start, windows, fit.free)
     if not problem.keeps_slopes([Trial("slopes", fit.free, start.prior, fit.values, fit.state)]):
         return None
-    return problem.slopes_at(fit.values, fit.free, fit.state, fit.nuisance)
+    slopes = problem.slopes_at(fit.values, fit.free, fit.state, fit.nuisance)
+    return SlopesOfHalves(problem.windows, slopes)
 
 
 def _half_windows(start: Baseline, windows: Windows, names: tuple[str, ...]) -> FitProblem:
@@ -115,7 +140,7 @@ def from_shorter_windows(start: Baseline, windows: Windows, names: tuple[str, ..
     """As :func:`on_half_windows`, with windows as short as it takes to find a minimum (:mod:`.shorter_first`).
 
     Raises:
-        DivergedError: The simulation diverges at the present values.
+        DivergedError: The simulation diverges at the present values, and at those of shorter windows.
     """
     halves = halved(windows.take(few_windows(windows, len(names))))
     return shorter_first(start.system, start.values, start.prior, names, halves)

@@ -60,7 +60,8 @@ def as_recorded(
 ) -> Read:
     """Return from when on the commands of logs act, and what made the logs.
 
-    An engine of a model file has commands half a step early, too. So the logs choose between both.
+    An engine of a model file has commands half a step early, too. So the logs choose between both. They are not asked
+    where a law with commands from their rows on leaves only noise, and as little as any engine.
 
     Args:
         recordings: Logs of one recorder.
@@ -145,6 +146,7 @@ def _lead(start: Baseline, windows: Windows, row: float) -> float:
         windows = noisy
         held = on_half_windows(start, windows, names, FURTHER, ENOUGH)
 
+    # Fits with a lead end a little earlier than the one without, so that a lead is believed rather less.
     slopes = slopes_on_half_windows(start, windows, held)
 
     def left(rows: float) -> Fit:

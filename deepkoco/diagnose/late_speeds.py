@@ -39,14 +39,10 @@ def delay_of_speeds(system: System, windows: Windows) -> str | None:
         system: The system.
         windows: Its windows.
     """
-    measured = windows.valid.flatten(2).any(-1).any(0).tolist()
-    shown = [s for s, seen in zip(system.measured_states, measured, strict=True) if seen]
-    speeds = [s for s in shown if system.joints <= s < 2 * system.joints]
-    if not speeds or min(shown) >= system.joints:
+    seen = windows.valid.any(-1).any(0).tolist()
+    measured = zip(system.measurements, system.measured_states, seen, strict=True)
+    shown = [(channel.name, state) for channel, state, own in measured if own]
+    speeds = [name for name, state in shown if system.joints <= state < 2 * system.joints]
+    if not speeds or all(state >= system.joints for _, state in shown):
         return None
-    if len(speeds) > 1:
-        return f"{OF_SPEEDS}.delay"
-    (channel,) = (
-        c.name for c, s in zip(system.measurements, system.measured_states, strict=True) if s == speeds[0]
-    )
-    return f"{NAME}({channel}).delay"
+    return f"{OF_SPEEDS}.delay" if len(speeds) > 1 else f"{NAME}({speeds[0]}).delay"

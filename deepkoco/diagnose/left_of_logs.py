@@ -12,6 +12,7 @@ import torch
 
 from deepkoco.diagnose.baseline import Baseline, Near, baseline_from
 from deepkoco.diagnose.baseline_refit import (
+    SlopesOfHalves,
     few_windows,
     from_shorter_windows,
     on_half_windows,
@@ -25,7 +26,6 @@ from deepkoco.fit.data.windows import CommandSeries, Windows
 from deepkoco.fit.fit import ITERATIONS, Fit, FitProblem, Trial
 from deepkoco.fit.solve.command_noise import LEFT, with_command_noise, with_noise_like
 from deepkoco.fit.solve.fine_steps import fine_steps, with_steps_cut
-from deepkoco.fit.solve.frozen_slopes import FrozenSlopes
 from deepkoco.fit.solve.lazy_batch import MANY
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.systems import System
@@ -94,7 +94,8 @@ class LeftOfLogs:
         self._each = np.zeros(len(windows))  # chi2 per sample of each window that the last refit saw
         self._parts = 1  # of a step of the machine
         self._on_time: dict[tuple[str | None, tuple[str, ...]], OnTime] = {}
-        self._slopes: FrozenSlopes | None = None  # of the last fit whose slopes are its own
+        self._last: tuple[Baseline, Windows, Fit] | None = None  # refit, under the present noise
+        self._slopes: SlopesOfHalves | None = None
 
     def __call__(self, law: System) -> Left:
         """Refit the parameters of the robot, and say what is left.
@@ -106,7 +107,8 @@ class LeftOfLogs:
         names = start.prior.names
         if self._near is not None and windows.wander is None:
             problem_of = partial(FitProblem, start.system)
-            windows = self._kept_noise(with_noise_like(problem_of, windows, start.values, self._near.wander))
+            noisy = with_noise_like(problem_of, windows, start.values, self._near.wander)
+            windows = windows if noisy is windows else self._kept_noise(noisy)
         fit = self._refit(start, windows, names)
         if law.engine is None and windows.wander is None and fit.chi2 > NOISE * max(windows.samples, 1):
             state = windows.state.clone()
@@ -208,13 +210,25 @@ class LeftOfLogs:
     def _refit(self, start: Baseline, windows: Windows, names: tuple[str, ...]) -> Fit:
         """Fit half windows, with the slopes of a law before where there are many parameters.
 
-        Other steps of an engine hardly change the slopes, whose simulations are most of the work of such a fit.
+        Other steps of an engine hardly change the slopes, whose simulations are most of the work of such a fit. The
+        first fit begins on shorter windows where it diverges, or does not come near the logs.
         """
-        fit = on_half_windows(start, windows, names, self._iterations(windows, names), ENOUGH, self._slopes)
-        if not self._values and fit.chi2 > FAR * max(windows.samples, 1):
-            fit = min(fit, from_shorter_windows(start, windows, names), key=lambda own: own.cost)
-        if self._slopes is None:
-            self._slopes = slopes_on_half_windows(start, windows, fit)
+        if self._slopes is None and self._last is not None:
+            self._slopes = slopes_on_half_windows(*self._last)
+        try:
+            fit = on_half_windows(
+                start, windows, names, self._iterations(windows, names), ENOUGH, self._slopes
+            )
+            far = fit.chi2 > FAR * max(windows.samples, 1)
+        except DivergedError:
+            if self._values:
+                raise
+            fit, far = None, True
+        if far and not self._values:
+            shorter = from_shorter_windows(start, windows, names)
+            fit = shorter if fit is None or shorter.cost < fit.cost else fit
+        assert fit is not None
+        self._last = start, windows, fit
         return fit
 
     def _iterations(self, windows: Windows, names: Sequence[str]) -> int:
@@ -223,7 +237,8 @@ class LeftOfLogs:
 
     def _kept_noise(self, noisy: Windows) -> Windows:
         """Keep the noise of the commands of windows, which does nearly the same whatever the law; return these."""
-        self._slopes = None
+        self._slopes, self._last = None, None
+        self._on_time.clear()
         self.windows = replace(self.windows, commands=noisy.commands, wander=noisy.wander, noise=noisy.noise)
         return noisy
 
@@ -237,5 +252,6 @@ class LeftOfLogs:
         self._values.update({name: fit.values[name] for name in names})
         left = Left(fit.cost, fit.chi2 / max(self.windows.samples, 1), dict(self._values))
         if not law.engine_step:
-            self._on_time[law.engine, names] = OnTime(law, left)
+            key, own = (law.engine, names), OnTime(law, left)
+            self._on_time[key] = min(self._on_time.get(key, own), own, key=lambda each: each.left.cost)
         return left

@@ -1,4 +1,4 @@
-"""Fits that begin on the shortest windows where those of the windows themselves find no minimum.
+"""Fits that begin on the shortest windows where those of the windows themselves find no minimum, or diverge.
 
 Over a long window, an error of the parameters adds up, joints stick in other places than they did, and the cost has
 many minima. Over a short one the measurements hold the simulation near the motion: the cost is nearly that of a linear
@@ -31,7 +31,7 @@ def shorter_first(
     windows: Windows,
     iterations: int = ITERATIONS,
 ) -> Fit:
-    """Fit parameters on windows; where that finds no minimum, on the shortest ones first, and on longer ones in turn.
+    """Fit parameters on windows; where that diverges or finds no minimum, on the shortest ones first, then longer ones.
 
     A minimum that leaves a large misfit may be a false one, so short windows are asked there, too.
 
@@ -60,7 +60,9 @@ def shorter_first(
     while (shorter := _parts(levels[-1].windows)) is not None:
         levels.append(FitProblem(system, shorter))
     if len(levels) == 1:
-        return problem.fit_one(trial, iterations) if found.diverged else found
+        if found.diverged:
+            raise problem.divergence(trial, found)
+        return found
     shortest = levels.pop()
     state, _ = shortest.fit_states(values, shortest.windows.state)
     fit = shortest.fit([Trial("windows", names, prior, values, state)], iterations)[0]
@@ -70,7 +72,7 @@ def shorter_first(
         state, _ = longer.fit_states(fit.values, first)
         fit = longer.fit([Trial("windows", names, prior, fit.values, state, fit.nuisance)], iterations)[0]
     if found.diverged and fit.diverged:
-        return problem.fit_one(trial, iterations)
+        raise problem.divergence(trial, found)
     return found if fit.diverged or found.cost <= fit.cost else fit
 
 

@@ -150,10 +150,19 @@ class FitProblem(ShootingProblem):
         """
         fit = self.fit([trial], iterations, tolerance, known, exact)[0]
         if fit.diverged:
-            raise DivergedError(
-                f"{trial.name}: the simulation of {self.system.base.name} diverges at {self._far_from_nominal(fit)}"
-            )
+            raise self.divergence(trial, fit)
         return fit
+
+    def divergence(self, trial: Trial, fit: Fit) -> DivergedError:
+        """Return the error that says where a trial diverges.
+
+        Args:
+            trial: The trial.
+            fit: Its fit, which ended at the start values.
+        """
+        return DivergedError(
+            f"{trial.name}: the simulation of {self.system.base.name} diverges at {self._far_from_nominal(fit)}"
+        )
 
     def _far_from_nominal(self, fit: Fit) -> str:
         """Describe the parameters that are farthest from their declared values."""

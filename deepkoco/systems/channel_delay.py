@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import reduce
 
 import torch
@@ -16,7 +16,7 @@ OF_SPEEDS = "speed_delay"  # of the effect on all channels of speeds
 
 
 def channel_delays(
-    effects: Iterable[PlacedEffect], parameters: Parameters, speeds: Iterable[int]
+    effects: Iterable[PlacedEffect], parameters: Parameters, speeds: Sequence[int]
 ) -> dict[int, Tensor]:
     """Delays that effects give to channels: channel -> (...) [s].
 
@@ -27,9 +27,10 @@ def channel_delays(
     """
     found: dict[int, Tensor] = {}
     for placed in effects:
-        late = {NAME: (placed.index,), OF_SPEEDS: tuple(speeds)}.get(placed.effect.name, ())
-        delay = parameters.get(f"{placed.name}.delay")
-        found = found if delay is None else sums(found, dict.fromkeys(late, delay))
+        if placed.effect.name not in (NAME, OF_SPEEDS) or f"{placed.name}.delay" not in parameters:
+            continue
+        late = speeds if placed.effect.name == OF_SPEEDS else (placed.index,)
+        found = sums(found, dict.fromkeys(late, parameters[f"{placed.name}.delay"]))
     return found
 
 

@@ -79,7 +79,7 @@ def moves_of(
     pieces = max(math.ceil(count / each), 1)
     result = torch.zeros(len(rows), *windows.value.shape[1:], len(sd), pieces, dtype=torch.float64)
     block = max(LANES // pieces, 1)
-    acting = [_acting(windows, w) for w in range(len(windows))]
+    acting = {w: _acting(windows, w) for w in np.unique(rows).tolist()}
     for index, size in enumerate(sd):
         for begin in range(0, len(rows) if size > 0.0 else 0, block):
             picked = np.arange(begin, min(begin + block, len(rows)))
@@ -89,7 +89,7 @@ def moves_of(
             of_window = np.repeat(rows[picked], pieces + 1)
             logs = windows.log[of_window]
             commands = tuple(
-                _moved(acting[w], index, int(at), each, float(by))
+                _moved(acting[int(w)], index, int(at), each, float(by))
                 for w, at, by in zip(of_window, places.ravel(), np.tile(sizes, len(picked)), strict=True)
             )
             many = replace(
