@@ -108,6 +108,14 @@ def test_a_changed_parameter_is_tolerated_within_what_is_known_of_it(value, shar
     assert CHANGED.tolerance(Healthy(guess, 1.0, 0.01, {})) == usual_sd(guess) == pytest.approx(0.02 * value)
 
 
+@pytest.mark.parametrize("value", [0.0, 0.002, -0.002])
+def test_a_place_near_its_axis_is_no_better_known_than_one_on_it(value):
+    # 2 % of 2 mm were 0.04 mm: a refit took a quarter of a motor rather than move the centre of mass of its camera.
+    place = Parameter("com_x(camera)", value, "m", -0.3, 0.3, 0.006, "x")
+    assert usual_sd(place) == pytest.approx(0.0006)
+    assert usual_sd(replace(place, value=0.2)) == pytest.approx(0.004)
+
+
 def answer(*weights):
     """Explanations with their log weights, best first."""
     found = [Weighed(causes, weight, True, (0.0, 0.0), {}) for causes, weight in weights]

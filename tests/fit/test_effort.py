@@ -223,6 +223,16 @@ def test_command_efforts_of_an_infinite_lane_do_not_change_other_lanes():
         assert not torch.isfinite(beside[1]).all()
 
 
+def assert_as_alone(one, logs, together, values):
+    """Windows of several logs have the efforts that each log has by itself."""
+    start, slope = efforts(together, **values)
+    for w, log in enumerate(together.log):
+        own = replace(one.take(np.array([w])), commands=(logs[log],), log=np.zeros(1, dtype=int))
+        alone = efforts(own, **values)
+        np.testing.assert_array_equal(start[w], alone[0][0])
+        np.testing.assert_array_equal(slope[w], alone[1][0])
+
+
 @pytest.mark.parametrize(
     "values",
     [
@@ -238,12 +248,7 @@ def test_logs_that_are_computed_together_have_the_efforts_of_each_alone(values):
     logs = [CommandSeries(stamps, rng.uniform(-1.0, 1.0, 60)) for stamps in (t, other, t)]
     one = windows_of(t, logs[0].value, [0.5, 1.0, 1.5, 2.0], 0.01, 40)
     together = replace(one, commands=tuple(logs), log=np.array([2, 0, 1, 2]))
-    start, slope = efforts(together, **values)
-    for w, log in enumerate(together.log):
-        own = replace(one.take(np.array([w])), commands=(logs[log],), log=np.zeros(1, dtype=int))
-        alone = efforts(own, **values)
-        np.testing.assert_array_equal(start[w], alone[0][0])
-        np.testing.assert_array_equal(slope[w], alone[1][0])
+    assert_as_alone(one, logs, together, values)
 
 
 @pytest.mark.parametrize("values", [{}, {"lag__time_constant": 0.03, "actuation_delay__delay": 0.013}])
@@ -252,9 +257,4 @@ def test_copies_of_a_log_with_the_same_windows_have_the_efforts_of_each_alone(va
     logs = [CommandSeries(t, rng.uniform(-1.0, 1.0, 60)) for _ in range(3)]
     one = windows_of(t, logs[0].value, [0.5, 1.5, 0.5, 0.5, 1.5, 1.5], 0.01, 40)
     together = replace(one, commands=tuple(logs), log=np.array([2, 0, 1, 0, 2, 1]))
-    start, slope = efforts(together, **values)
-    for w, log in enumerate(together.log):
-        own = replace(one.take(np.array([w])), commands=(logs[log],), log=np.zeros(1, dtype=int))
-        alone = efforts(own, **values)
-        np.testing.assert_array_equal(start[w], alone[0][0])
-        np.testing.assert_array_equal(slope[w], alone[1][0])
+    assert_as_alone(one, logs, together, values)

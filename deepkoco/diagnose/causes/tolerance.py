@@ -82,7 +82,8 @@ def of_data_sheet(healthy: Healthy) -> float:
 def usual_sd(parameter: Parameter) -> float:
     """Return the standard deviation by which units of one make differ in a parameter.
 
-    It is 2 % of a parameter and 10 % of a friction. A parameter that is 0 has a tenth of its declared one.
+    It is 2 % of a parameter and 10 % of a friction. One that is 0 has a tenth of its declared one, and one that may have
+    either sign at least that: a centre of mass 2 mm beside its axis is no better known than one on it.
     """
     rubs = (
         "friction" in f"{parameter.name} {parameter.description}"
@@ -90,7 +91,9 @@ def usual_sd(parameter: Parameter) -> float:
         or "s/m" in parameter.unit
     )
     share = USUAL_FRICTION if rubs else USUAL
-    return share * abs(parameter.value) if parameter.value else 0.1 * parameter.prior_sd
+    signed = parameter.low < 0.0 < parameter.high
+    least = 0.1 * parameter.prior_sd if signed or not parameter.value else 0.0
+    return max(share * abs(parameter.value), least)
 
 
 def of_clock(healthy: Healthy) -> float:
