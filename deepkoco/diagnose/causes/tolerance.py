@@ -82,8 +82,8 @@ def of_data_sheet(healthy: Healthy) -> float:
 def usual_sd(parameter: Parameter) -> float:
     """Return the standard deviation by which units of one make differ in a parameter.
 
-    It is 2 % of a parameter and 10 % of a friction. One that is 0 has a tenth of its declared one, and one that may have
-    either sign at least that: a centre of mass 2 mm beside its axis is no better known than one on it.
+    It is 2 % of a parameter and 10 % of a friction. One that is 0 has a tenth of its declared one, and one that may
+    have either sign at least that: a centre of mass 2 mm beside its axis is no better known than one on it.
     """
     rubs = (
         "friction" in f"{parameter.name} {parameter.description}"
