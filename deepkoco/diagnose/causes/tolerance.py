@@ -83,7 +83,8 @@ def usual_sd(parameter: Parameter) -> float:
     """Return the standard deviation by which units of one make differ in a parameter.
 
     It is 2 % of a parameter and 10 % of a friction. One that is 0 has a tenth of its declared one, and one that may
-    have either sign at least that: a centre of mass 2 mm beside its axis is no better known than one on it.
+    have either sign at least that: a centre of mass 2 mm beside its axis is no better known than one on it. A friction
+    has no sign, also where its bounds leave a fit room below zero.
     """
     rubs = (
         "friction" in f"{parameter.name} {parameter.description}"
@@ -91,7 +92,7 @@ def usual_sd(parameter: Parameter) -> float:
         or "s/m" in parameter.unit
     )
     share = USUAL_FRICTION if rubs else USUAL
-    signed = parameter.low < 0.0 < parameter.high
+    signed = parameter.low < 0.0 < parameter.high and not rubs
     least = 0.1 * parameter.prior_sd if signed or not parameter.value else 0.0
     return max(share * abs(parameter.value), least)
 
