@@ -21,6 +21,11 @@ from deepkoco.fit.solve.prior import Prior
 from deepkoco.systems import ExtendedSystem
 
 FEWEST = 10  # samples of a channel in a window that show more of the motion than where it begins
+NEARER = (
+    0.0,
+    0.5,
+    1.0,
+)  # shares of the way to the centre of the prior, of fits that begin one after the other
 
 
 def shorter_first(
@@ -63,9 +68,7 @@ def shorter_first(
         if found.diverged:
             raise problem.divergence(trial, found)
         return found
-    shortest = levels.pop()
-    state, _ = shortest.fit_states(values, shortest.windows.state)
-    fit = shortest.fit([Trial("windows", names, prior, values, state)], iterations)[0]
+    fit = _shortest(levels.pop(), values, prior, names, iterations)
     while levels and not fit.diverged:
         longer = levels.pop()
         first = fit.state[:: len(fit.state) // len(longer.windows)]
@@ -74,6 +77,36 @@ def shorter_first(
     if found.diverged and fit.diverged:
         raise problem.divergence(trial, found)
     return found if fit.diverged or found.cost <= fit.cost else fit
+
+
+def _shortest(
+    problem: FitProblem,
+    values: Mapping[str, float],
+    prior: Prior,
+    names: tuple[str, ...],
+    iterations: int,
+) -> Fit:
+    """Return a fit of the shortest windows; where it is stuck far from them, the best of those that begin nearer to the
+    centre of the prior.
+
+    Args:
+        problem: The windows.
+        values, prior, names, iterations: As for :func:`shorter_first`.
+    """
+    centre = dict(zip(prior.names, prior.centre.tolist(), strict=True))
+    best = None
+    for share in NEARER:
+        begin = {**values, **{n: values[n] + share * (centre[n] - values[n]) for n in names if n in centre}}
+        if best is not None and begin == values:
+            break
+        state, _ = problem.fit_states(begin, problem.windows.state)
+        fit = problem.fit([Trial("windows", names, prior, begin, state)], iterations)[0]
+        if best is None or best.diverged or (not fit.diverged and fit.cost < best.cost):
+            best = fit
+        if not (best.diverged or best.stuck) or best.chi2 <= LARGE_MISFIT * problem.windows.samples:
+            break
+    assert best is not None
+    return best
 
 
 def _parts(windows: Windows) -> Windows | None:
