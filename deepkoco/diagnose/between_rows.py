@@ -73,6 +73,8 @@ def as_recorded(
         return Read(as_engine_if_shown(recordings, system, length, learned), learned.early)
     found = closest_of_logs(recordings, system, length)
     left_of_held, as_held = found.left, Read(found.system, 0.0, found.near)
+    if found.lead > 0.0:
+        return Read(found.system, found.lead, found.near)
     if found.on_time is not None and not found.early:
         return as_held
     on_time = system if found.on_time is None else found.on_time

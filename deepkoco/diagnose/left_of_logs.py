@@ -45,6 +45,7 @@ NOISE = 1.2  # noise variances that a simulation leaves of its own logs
 FURTHER, FIRST = 16, 4
 ENOUGH = 1.0  # fall of the cost by a step below which a fit has told what a law leaves: little beside MARGIN
 DELAYS = ("actuation_delay(all).delay", "actuation_delay.delay")  # of several commands, and of one
+EARLIEST = 0.5  # rows of a log by which commands act before their row at most
 
 
 class Left(NamedTuple):
@@ -74,6 +75,18 @@ class OnTime(NamedTuple):
 
     law: System
     left: Left
+
+
+class Early(NamedTuple):
+    """What a law leaves of the logs with commands that act before their rows.
+
+    Attributes:
+        left: What is left.
+        lead: Time by which they do [s].
+    """
+
+    left: Left
+    lead: float
 
 
 class LeftOfLogs:
@@ -145,12 +158,13 @@ class LeftOfLogs:
         """Noise variances that a simulation leaves of its own logs at most."""
         return NOISE if self.windows.wander is None else NOISE + LEFT
 
-    def near(self, law: System, left: Left) -> Near | None:
+    def near(self, law: System, left: Left, lead: float = 0.0) -> Near | None:
         """Return what the fit of a law tells of further ones; None where it has not come near the logs.
 
         Args:
             law: The robot, as a machine or by an engine.
             left: What it leaves.
+            lead: Time by which its commands act before their rows [s].
         """
         if left.values is None or left.per_sample > FAR:
             return None
@@ -158,9 +172,10 @@ class LeftOfLogs:
         body = baseline_from(law, self.windows).prior.names
         known = {n: v for n, v in left.values.items() if n in body}
         wander = self.windows.wander
-        if wander is not None and law.engine is not None:
-            # It was found beside a machine. What an engine does otherwise could be taken for it.
-            windows = in_steps_of(replace(self.windows, commands=self.logged, wander=None), law)
+        if wander is not None and (law.engine is not None or lead > 0.0):
+            # It was found beside a machine. What an engine does otherwise, or early, could be taken for it.
+            commands = _moved(self.logged, lead)
+            windows = in_steps_of(replace(self.windows, commands=commands, wander=None), law)
             start = baseline_from(law, windows)
             values = {**start.values, **{n: v for n, v in left.values.items() if n not in DELAYS}}
             wander = with_command_noise(
@@ -206,6 +221,38 @@ class LeftOfLogs:
             trial = Trial("late", prior.names, prior, best.values, best.state, best.nuisance)
             fits = [best, *(fit for fit in problem.fit([trial], steps) if not fit.diverged)]
         return self._kept(law, min(fits, key=lambda fit: fit.cost), prior.names)
+
+    def early(self, law: System) -> Early | None:
+        """As a call, with commands that act before their rows by a time that is fitted too; None where none do.
+
+        Commands that are half a row early and late by a free delay act up to half a row early, or late.
+
+        Args:
+            law: The robot.
+
+        Raises:
+            DivergedError: The simulation diverges.
+        """
+        start, windows = self._start(law)
+        declared = {p.name: p for p in start.system.parameters}
+        name = next((n for n in DELAYS if n in declared), None)
+        rows = [float(np.median(np.diff(c.t))) for c in windows.commands if c.changes and len(c.t) > 2]
+        if name is None or not rows:
+            return None
+        most = EARLIEST * min(rows)
+        halves = halved(replace(windows, commands=_moved(windows.commands, most)))
+        problem = FitProblem(start.system, halves)
+        values = {**start.values, name: most}
+        prior = start.prior.widened([declared[name]], values)
+        state, _ = problem.fit_states(values, halves.state)
+        trial = Trial("early", prior.names, prior, values, state)
+        (fit,) = problem.fit([trial], self._iterations(halves, prior.names), ENOUGH)
+        if fit.diverged:
+            raise DivergedError("a simulation with early commands diverges")
+        lead = most - fit.values[name]
+        known = {n: fit.values[n] for n in start.prior.names}
+        left = Left(fit.cost, fit.chi2 / max(self.windows.samples, 1), {**self._values, **known})
+        return Early(left, lead) if lead > 0.0 else None
 
     def _refit(self, start: Baseline, windows: Windows, names: tuple[str, ...]) -> Fit:
         """Fit half windows, with the slopes of a law before where there are many parameters.
@@ -255,3 +302,8 @@ class LeftOfLogs:
             key, own = (law.engine, names), OnTime(law, left)
             self._on_time[key] = min(self._on_time.get(key, own), own, key=lambda each: each.left.cost)
         return left
+
+
+def _moved(commands: tuple[CommandSeries, ...], lead: float) -> tuple[CommandSeries, ...]:
+    """Return commands that act some time [s] before they are logged."""
+    return commands if lead == 0.0 else tuple(replace(c, t=c.t - lead) for c in commands)

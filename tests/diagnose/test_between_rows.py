@@ -9,14 +9,17 @@ import torch
 
 from deepkoco.diagnose.baseline import baseline_from
 from deepkoco.diagnose.between_rows import _lead, as_recorded, lead_of_commands
+from deepkoco.diagnose.left_of_logs import LeftOfLogs
 from deepkoco.excitation.record import record
 from deepkoco.fit.data.noise import Noise
 from deepkoco.fit.data.series import CommandSeries, channel_series
 from deepkoco.fit.data.windows import cut_windows, moving
 from deepkoco.fit.fit import FitProblem
 from deepkoco.logs.between_rows import changes_often, with_early_commands
-from deepkoco.systems import make_system
+from deepkoco.logs.recording import Recording, Series
+from deepkoco.systems import load_system, make_system
 from deepkoco.unit import make_unit
+from tests.diagnose.test_as_engine import SLIDER
 
 ROW = 0.005  # [s]
 
@@ -111,3 +114,51 @@ def test_healthy_logs_have_decided_for_others_of_their_recorder():
     read = as_recorded([log()], system, 1.0, learned)
     (other,) = read.logs([log()])
     assert read.early == other.early == 0.002
+
+
+@pytest.fixture(scope="module")
+def slider(tmp_path_factory):
+    path = tmp_path_factory.mktemp("robot") / "slider.xml"
+    path.write_text(SLIDER.format(damping=4.0, friction=3.0))
+    return load_system(path)
+
+
+def in_short_steps(step: float, noise: float) -> Recording:
+    """A mass on a rail in semi-implicit steps, with commands and rows every 10 ms."""
+    t = np.arange(0.0, 10.0, 0.01)
+    effort = 3.5 * np.sin(2.0 * np.pi * 0.4 * t) + 1.5 * np.sin(2.0 * np.pi * 0.97 * t)
+    place, speed, places = 0.0, 0.0, []
+    for u in effort:
+        places.append(place)
+        for _ in range(round(0.01 / step)):
+            speed += step * (u - 4.0 * speed) / 2.0
+            speed = np.sign(speed) * max(abs(speed) - step * 3.0 / 2.0, 0.0)
+            place += step * speed
+    seen = np.array(places) + noise * np.random.default_rng(0).standard_normal(len(t))
+    return Recording(
+        {"push": Series(t, effort, "1", "command"), "q_rail": Series(t, seen, "m", "measurement")}
+    )
+
+
+@pytest.mark.parametrize("step", [0.0005, 0.001])
+def test_short_steps_of_an_engine_are_a_machine_with_early_commands(slider, step):
+    # The steps of 0.5 ms took three times as long as those of a machine, and 0.2 ms ten times.
+    read = as_recorded([in_short_steps(step, 2e-6)], slider, 1.0)
+    assert read.system.engine is None
+    assert read.early == pytest.approx(0.5 * step, rel=0.1)
+    assert read.near is not None
+    assert read.near.values["frictionloss(rail)"] == pytest.approx(3.0, rel=2e-3)
+
+
+def test_long_steps_of_an_engine_stay_those_of_an_engine(slider):
+    read = as_recorded([in_short_steps(0.0025, 2e-6)], slider, 1.0)
+    assert read.system.engine == "semi-implicit"
+    assert read.system.engine_step == pytest.approx(0.0025, rel=1e-6)
+    assert read.early == 0.0
+
+
+@pytest.mark.parametrize("late", [0.0, 0.004])
+def test_commands_that_act_on_time_or_late_have_no_lead(slider, late):
+    moved = with_early_commands(in_short_steps(0.001, 2e-6), 0.0005 + late)
+    early = LeftOfLogs(cut_windows([moved], slider, 1.0)).early(slider)
+    assert early is None or early.lead < 2e-5

@@ -11,7 +11,7 @@ from deepkoco.systems.effects.disturbance import PITCHES
 
 if TYPE_CHECKING:
     from deepkoco.diagnose.residuals.residuals import MissingTorque
-    from deepkoco.diagnose.residuals.waves import Waves
+    from deepkoco.diagnose.residuals.waves import Answers, Waves
 
 CYCLES = tuple(range(2, 31))  # per turn
 MIN_CYCLES = 2.0  # cycles that a log must show
@@ -47,18 +47,21 @@ def _pitches(missing: MissingTorque, way: float) -> list[dict[str, float]]:
     counts = counts[(way / counts >= PITCHES[0]) & (way / counts <= PITCHES[1])]
     if missing.waves is None or len(counts) == 0:
         return []
-    clearest, waves, falls = 0.0, missing.waves, np.zeros(len(counts))
-    shorter: Waves | None = waves
+    clearest, falls = 0.0, np.zeros(len(counts))
+    shorter: Waves | None = missing.waves
+    chosen: Answers | None = None
     for _ in range(HALVINGS + 1):
         if shorter is None:
             break
-        there, _ = shorter.explained(2.0 * np.pi * counts / way)
+        answers = shorter.answering()
+        there, _ = answers.explained(2.0 * np.pi * counts / way)
         best = int(there.argmax())
         others = there[abs(counts - counts[best]) > 1.0]
         clear = float(there[best]) / max(float(others.max(initial=0.0)), 1e-300)
-        if clear > clearest:
-            clearest, waves, falls = clear, shorter, there
+        if chosen is None or clear > clearest:
+            clearest, chosen, falls = clear, answers, there
         shorter = shorter.halved()
+    assert chosen is not None
     coarse: list[int] = []
     for k in np.argsort(-falls):
         if all(abs(counts[k] - counts[other]) > 1.0 for other in coarse):
@@ -68,7 +71,7 @@ def _pitches(missing: MissingTorque, way: float) -> list[dict[str, float]]:
     # A fit finds a pitch only from within a fraction of a cycle on the whole way.
     near = np.linspace(-0.45, 0.45, 10)
     counts = np.concatenate([counts[k] + near for k in coarse])
-    falls, sizes = waves.explained(2.0 * np.pi * counts / way)
+    falls, sizes = chosen.explained(2.0 * np.pi * counts / way)
     best = falls.reshape(-1, len(near)).argmax(1)
     found = [k for k in len(near) * np.arange(len(best)) + best if falls[k] >= NEARLY * falls.max()]
     return [

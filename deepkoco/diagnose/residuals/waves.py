@@ -17,13 +17,14 @@ from deepkoco.fit.simulate.simulator import trajectories
 from deepkoco.systems import ExtendedSystem
 
 LANES = 160  # responses that are asked for at once
+SLOTS = 100  # of a window at most, in each of which a load is even
 UNIT = 1e-4  # load of a response, in typical loads of the joint
 LEAST_STEPS = 20  # of a window, and samples
 TINY = 1e-6  # change of an initial state of a response
 
 
 class Waves(NamedTuple):
-    """Residuals of a fit, explained by loads a sin(k q) + b cos(k q) on one joint.
+    """Residuals of a fit, to be explained by loads a sin(k q) + b cos(k q) on one joint.
 
     A load of detents moves the simulation by whole pitches where it is missing, so a simulation with a little of it
     says nothing of its phase. The phase is therefore taken along the path q that the sensor shows, and the response
@@ -76,33 +77,31 @@ class Waves(NamedTuple):
         values, names = self.fit.values, self.problem.names
         return {n: torch.tensor(values[n], dtype=torch.float64) for n in names if n not in Push.NAMES}
 
-    def explained(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return by how much loads of each wave number lower chi2 (K,), and their a and b (K, 2) [N m or N].
-
-        Args:
-            numbers: (K,) wave numbers k [1/rad or rad/m].
-        """
-        middle = self._middle()
-        unit = UNIT * self.problem.system.load_scales[self.joint]
+    def answering(self) -> Answers:
+        """Return the responses to loads in each slot of a window, of which those to any wave are sums."""
+        windows, unit = (
+            self.problem.with_usual_steps.windows,
+            UNIT * self.problem.system.load_scales[self.joint],
+        )
+        # Steps of the windows may be parts of those that are simulated.
+        parts = self.problem.windows.steps // windows.steps
+        each = -(-windows.steps // SLOTS)
+        slots = [slice(at, at + each) for at in range(0, windows.steps, each)]
+        loads = []
+        for slot in slots:
+            load = torch.zeros(len(windows), windows.steps, dtype=torch.float64)
+            load[:, slot] = unit
+            loads.append(load.repeat_interleave(parts, 1))
+        responses = torch.cat(
+            [self._responses(loads[at : at + LANES], 0) for at in range(0, len(loads), LANES)]
+        )
         states = self._responses([], self.fit.state.shape[1])
         basis, _ = torch.linalg.qr((states / TINY).permute(1, 2, 0))
-        residual = self.fit.residual.reshape(len(middle), -1, 1)
-        residual = residual - basis @ (basis.mT @ residual)
-        falls, sizes = [], []
-        each = LANES // 2
-        for at in range(0, len(numbers), each):
-            phases = [float(k) * middle for k in numbers[at : at + each]]
-            loads = [unit * wave for phase in phases for wave in (torch.sin(phase), torch.cos(phase))]
-            response = (self._responses(loads, 0) / unit).permute(1, 2, 0)
-            response = response - basis @ (basis.mT @ response)
-            pairs = response.reshape(*response.shape[:2], -1, 2)
-            gram = torch.einsum("wmka,wmkb->kab", pairs, pairs)
-            match = torch.einsum("wmka,wm->ka", pairs, residual[..., 0])
-            gram = gram + 1e-9 * gram.diagonal(dim1=-2, dim2=-1).mean(-1)[:, None, None] * torch.eye(2)
-            size = torch.linalg.solve(gram, match)
-            falls.append((size * match).sum(-1).numpy())
-            sizes.append(size.numpy())
-        return np.concatenate(falls), np.concatenate(sizes)
+        residual = self.fit.residual.reshape(len(windows), -1, 1)
+        responses = (responses / unit).permute(1, 2, 0)
+        responses = responses - basis @ (basis.mT @ responses)
+        ends = [slice(parts * slot.start, parts * min(slot.stop, windows.steps)) for slot in slots]
+        return Answers(self, ends, responses.mT @ responses, (responses.mT @ residual)[..., 0])
 
     def responses(self, sizes: np.ndarray, had: np.ndarray) -> Tensor:
         """Return the whitened changes (D, W, CN) by such loads in the place of another one.
@@ -111,7 +110,7 @@ class Waves(NamedTuple):
             sizes: (D, 3) pitch, a and b of each.
             had: (3,) those that the fit has.
         """
-        middle = self._middle()
+        middle = self.middle()
 
         def load(pitch: float, a: float, b: float) -> Tensor:
             phase = 2.0 * math.pi / pitch * middle
@@ -121,7 +120,7 @@ class Waves(NamedTuple):
         loads = [load(*size) - base for size in sizes.tolist()]
         return torch.cat([self._responses(loads[at : at + LANES], 0) for at in range(0, len(loads), LANES)])
 
-    def _middle(self) -> Tensor:
+    def middle(self) -> Tensor:
         """Return the positions (W, n) in the middle of each step."""
         path = torch.from_numpy(self.shown_path())
         return 0.5 * (path[:, 1:] + path[:, :-1])
@@ -143,3 +142,35 @@ class Waves(NamedTuple):
         predicted = under_loads(problem, self.system, self._named(), initial, push)
         change = problem.weighed(predicted[1:] - predicted[0]).reshape(lanes - 1, len(windows), -1)
         return torch.where(torch.isfinite(change).all(-1, keepdim=True), change, 0.0)
+
+
+class Answers(NamedTuple):
+    """Normal equations of a load in each slot of a window, without what initial states do.
+
+    Attributes:
+        waves: Of which they are.
+        slots: Steps of each slot.
+        gram: (W, K, K) products of the whitened responses to a load of 1 in each slot.
+        match: (W, K) products of these and the residuals.
+    """
+
+    waves: Waves
+    slots: list[slice]
+    gram: Tensor
+    match: Tensor
+
+    def explained(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return by how much loads of each wave number lower chi2 (D,), and their a and b (D, 2) [N m or N].
+
+        Args:
+            numbers: (D,) wave numbers k [1/rad or rad/m].
+        """
+        phase = self.waves.middle()[..., None] * torch.from_numpy(np.ascontiguousarray(numbers))  # (W, n, D)
+        wave = torch.stack([torch.sin(phase), torch.cos(phase)], -1)
+        loads = torch.stack([wave[:, slot].mean(1) for slot in self.slots], 1)  # (W, K, D, 2)
+        acting = (self.gram @ loads.flatten(2)).unflatten(-1, loads.shape[2:])
+        gram = (loads[..., :, None] * acting[..., None, :]).sum((0, 1))
+        match = (loads * self.match[..., None, None]).sum((0, 1))
+        gram = gram + 1e-9 * gram.diagonal(dim1=-2, dim2=-1).mean(-1)[:, None, None] * torch.eye(2)
+        size = torch.linalg.solve(gram, match)
+        return (size * match).sum(-1).numpy(), size.numpy()

@@ -18,6 +18,9 @@ from deepkoco.logs.units import factor_between, parse_unit
 from deepkoco.systems import Motion, System
 
 UNITS = {"angle": ("rad", "deg", "rev"), "length": ("m", "mm", "cm")}
+POWERS = (1.0, 1e-3, 1e3)  # of ten by which an effort may be written
+# Factors of other units in which a goal of a speed may be written: degrees and turns, parts of a metre.
+RATES = {"angular velocity": (math.pi / 180.0, math.pi / 30.0, 2.0 * math.pi), "velocity": (1e-3, 1e-2)}
 MOST_DOUBTFUL = 3  # positions and goals whose units are tried together
 MOST_POINTS = 4000  # of the grid of times
 REACH = 0.2  # seconds on each side over which accelerations are compared
@@ -84,9 +87,10 @@ def with_likely_units(system: System, proposal: Proposal, samples: Mapping[str, 
 
 
 def with_units_held(system: System, proposal: Proposal, samples: Mapping[str, Samples]) -> Proposal:
-    """Mark positions, speeds and efforts without a stated unit, where the equations hold in these units alone.
+    """Mark positions, speeds and commands without a stated unit, where the equations hold in these units alone.
 
-    A recorder writes the positions of all joints that turn in one unit, those of all that slide, and all efforts.
+    A recorder writes the positions of all joints that turn in one unit, those of all that slide, all efforts, and all
+    goals of speeds.
 
     Args:
         system: The system, whose measurements must show all its positions, with a column for each command.
@@ -102,28 +106,32 @@ def with_units_held(system: System, proposal: Proposal, samples: Mapping[str, Sa
         for c in drives
         if not c.stated and parse_unit(c.channel.unit).quantity in ("torque", "force", "ratio")
     ]
-    if not (free or efforts) or positions is None or len(drives) < len(system.commands):
+    rates = [c for c in drives if not c.stated and parse_unit(c.channel.unit).quantity in RATES]
+    if not (free or efforts or rates) or positions is None or len(drives) < len(system.commands):
         return proposal
     if any(c.unit != c.channel.unit for c in free):
         return proposal
     groups = [[c for c in free if c in positions and c.unit == unit] for unit in ("rad", "m")]
     groups = [group for group in groups if group]
-    if not (groups or efforts):
+    if not (groups or efforts or rates):
         return proposal
     tried = [UNITS[parse_unit(group[0].unit).quantity] for group in groups]
-    found: dict[tuple[tuple[str, ...], float], float] = {}
-    powers = (1.0, 1e-3, 1e3) if efforts else (1.0,)
-    for units, power in product(product(*tried), powers):
+    found: dict[tuple[tuple[str, ...], float, float], float] = {}
+    powers = [(power, 1.0) for power in (POWERS if efforts else (1.0,))]
+    kinds = {parse_unit(c.channel.unit).quantity for c in rates}
+    powers += [(1.0, factor) for kind in kinds for factor in RATES[kind]]
+    for units, (power, rate) in product(product(*tried), powers):
         taken = {c.channel.name: Reading(u) for group, u in zip(groups, units, strict=True) for c in group}
-        given = [replace(c, scale=power * c.scale) if c in efforts else c for c in drives]
+        factors = {**{c.channel.name: power for c in efforts}, **{c.channel.name: rate for c in rates}}
+        given = [replace(c, scale=factors.get(c.channel.name, 1.0) * c.scale) for c in drives]
         try:
-            found[units, power] = _misfit(system, positions, taken, given, samples)
+            found[units, power, rate] = _misfit(system, positions, taken, given, samples)
         except (RuntimeError, ValueError):  # equations that cannot be evaluated there
             return proposal
-    own = found.pop((tuple(group[0].unit for group in groups), 1.0))
+    own = found.pop((tuple(group[0].unit for group in groups), 1.0, 1.0))
     if not (own <= FITS and all(own < HALF * other for other in found.values())):
         return proposal
-    known = {c.channel.name for c in (*free, *efforts)}
+    known = {c.channel.name for c in (*free, *efforts, *rates)}
     choices = tuple(replace(c, held=c.channel.name in known) for c in proposal.choices)
     return replace(proposal, choices=choices)
 

@@ -189,7 +189,12 @@ def _doubt_of_command(
         tracking = None if finding is None else finding.tracking
         follows = tracking is not None and tracking.follows and ONE_UNIT[0] < tracking.slope < ONE_UNIT[1]
         return None if follows else f"{column.label} is no goal that its position follows in one unit"
-    if not is_symbol_of(column) and (said & (POSITION | SPEED) or (said & set(WANTED) and not said & EFFORT)):
+    # The goal of a speed says so; whether it is in the channel's unit is asked below.
+    of_a_speed = driven is not None and channel.unit == system.state_units[system.joints + driven]
+    other = POSITION if of_a_speed else POSITION | SPEED
+    if not is_symbol_of(column) and (
+        said & other or (said & set(WANTED) and not (of_a_speed or said & EFFORT))
+    ):
         return f"{column.label} may be a goal of a position or a speed, and {channel.name} is none"
     if choice.stated or choice.held:
         return None

@@ -51,6 +51,7 @@ SYMBOLS = {
     "angular velocity": ("n", "w"), "velocity": ("v",), "torque": ("m", "t"), "force": ("f",), "current": ("i",),
     "voltage": ("u",),
 }  # fmt: skip
+MOTORS, ELECTRIC = {"motor", "motors"}, ("current", "voltage")
 GOALS = {"position": "goal", "speed": "goal speed", "effort": "goal effort"}
 DRIVEN = {"goal", "goal speed", "effort", "goal effort"}
 _ROLE_WORDS = GOAL | MEASURED | POSITION | SPEED | EFFORT | FILLER
@@ -319,8 +320,8 @@ def words_of(text: str) -> list[str]:
 def _without_unit(name: str) -> str:
     """The name without the unit in which :func:`read_name` reads its column: ``pan_current_mA`` is of the joint pan.
 
-    A letter may count joints: ``pos_a`` has no unit, and ``current_A`` is of a joint A. ``pan_current_A`` is in ampere,
-    and ``cart_motor_cmd_N`` in newton.
+    A letter may count joints: ``pos_a`` has no unit, and ``current_A`` is of a joint A. ``pan_current_A``, ``i_pan_A``
+    and ``motor_x_A`` are in ampere, and ``cart_motor_cmd_N`` in newton.
     """
     parts = [part for part in re.split(r"[^A-Za-z0-9]+", name) if part]
     ahead, unit = unit_suffix(parts, name)
@@ -329,6 +330,8 @@ def _without_unit(name: str) -> str:
         return name
     words = {part.lower() for part in ahead}
     letter = len(parts) - len(ahead) == 1 and max(map(len, end)) == 1
-    if letter and (not words & (EFFORT | GOAL) or words <= _ROLE_WORDS):
+    quantity = parse_unit(unit).quantity
+    of_a_drive = {*MOTORS, *SYMBOLS.get(quantity, ())} if quantity in ELECTRIC else set()
+    if letter and (not words & (EFFORT | GOAL | of_a_drive) or words <= _ROLE_WORDS | of_a_drive):
         return name
     return "_".join(ahead)
