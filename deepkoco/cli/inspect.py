@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,6 +25,7 @@ channels are shown in SI units. Without one, a mapping of columns to channels of
 confidence and reasons. --out writes it as a sidecar.
 
 Exit status: 0 shown, 2 the log or its sidecar cannot be used."""
+PIPED = 160  # characters of a line where the output is no terminal
 MOST_LOGS = 40  # of a folder that are compared
 EXAMPLE = """\
 example:
@@ -229,10 +231,13 @@ def _print(
     from deepkoco.cli.logs import named_system
     from deepkoco.logs.inspect.doubts import doubts_of
     from deepkoco.logs.inspect.log_summary import summary_table
+    from deepkoco.logs.inspect.sure_mapping import doubt_of_mapping
     from deepkoco.logs.inspect.tables import clock_table, column_table, joint_table, proposal_table
     from deepkoco.logs.sidecar import sidecar_path
 
-    console = Console()
+    # A file or a pipe has no width, and names of columns would be broken at 80 characters.
+    piped = not (sys.stdout.isatty() or "COLUMNS" in os.environ)
+    console = Console(width=PIPED if piped else None)
 
     def say(text: str) -> None:
         console.print(text, highlight=False, markup=False)
@@ -270,7 +275,12 @@ def _print(
         say(f"! {refusal}")
     if fitting is not None and args.out is None:
         names = args.system or " or ".join((fitting.proposal.system, *fitting.alike))
-        say(f"write this mapping with --system {names} --out {sidecar_path(args.given)}")
+        written = f"--system {names} --out {sidecar_path(args.given)}"
+        doubt = "" if args.system is None else doubt_of_mapping(found, fitting, named_system(args.system))
+        if doubt is None and recording is None:
+            say(f"every command reads the log so, without a sidecar; to correct it, write it with {written}")
+        else:
+            say(f"write this mapping with {written}" + (f": {doubt}" if doubt else ""))
     for target in (None if fitting is None else args.out, args.plot):
         if target is not None:
             say(f"written: {target}")

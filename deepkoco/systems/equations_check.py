@@ -78,6 +78,12 @@ def _accelerations(
         or not all(isinstance(a, Tensor) for a in found)
     ):
         kind = f"{len(found)} values" if isinstance(found, tuple | list) else type(found).__name__
+        if not system.has_accelerations:
+            raise DeclarationError(
+                f"{who}: its derivative has the rates of {len(found)} speeds for {system.joints} "
+                f"{'joint' if system.joints == 1 else 'joints'}; the state is all positions, then all speeds, and "
+                f"its derivative has {2 * system.joints} entries along the last dimension"
+            )
         raise DeclarationError(
             f"{who}: the accelerations are {kind}; return a tuple of {system.joints} tensors, one for each joint"
         )

@@ -82,8 +82,12 @@ class System(SignalPath, NamedJoints, Drawn, metaclass=Declared):
     @property
     def has_equations(self) -> bool:
         """Whether it defines `accelerations` or `derivative`."""
-        kind = type(self)
-        return kind.accelerations is not System.accelerations or kind.derivative is not System.derivative
+        return self.has_accelerations or type(self).derivative is not System.derivative
+
+    @property
+    def has_accelerations(self) -> bool:
+        """Whether it defines `accelerations`; they are taken from its derivative else."""
+        return type(self).accelerations is not System.accelerations
 
     def derivative(self, state: Tensor, effort: Tensor, parameters: Parameters) -> Tensor:
         """Time derivative of the state, by default from the accelerations.
@@ -217,7 +221,7 @@ class System(SignalPath, NamedJoints, Drawn, metaclass=Declared):
 
         All where `accelerations` is defined; else those that a command drives with a force [N] or a torque [N m].
         """
-        if type(self).accelerations is not System.accelerations:
+        if self.has_accelerations:
             return tuple(range(self.joints))
         return tuple(sorted(self._force_commands))
 

@@ -6,6 +6,7 @@ import pandas as pd
 import pytest
 
 import deepkoco
+from deepkoco.cli.command_line import main
 from deepkoco.logs.read_logs import read_logs
 from deepkoco.logs.recording import LogError
 
@@ -89,3 +90,50 @@ def test_a_goal_of_a_position_is_not_what_drives_a_joint_beside_an_effort(tmp_pa
     columns |= {"i_cmd hip [A]": first, "i_cmd knee [A]": second}
     (read,) = read_logs([written(tmp_path, columns, 12)[0]], deepkoco.load_system(tmp_path / "leg.xml"))
     np.testing.assert_allclose(read.channels["hip_motor"].value, first)
+
+
+WRIST = """<mujoco model="wrist"><compiler angle="radian"/><option timestep="0.001"/><worldbody>
+<body><joint name="roll" axis="1 0 0" damping="0.05"/><inertial pos="0 0 0" mass="1" diaginertia="0.02 0.02 0.02"/>
+<body><joint name="pitch" axis="0 1 0" damping="0.04"/>
+<inertial pos="0 0 0.05" mass="0.6" diaginertia="0.01 0.01 0.01"/></body></body></worldbody>
+<actuator><velocity name="roll_vel" joint="roll" kv="0.2"/><velocity name="pitch_vel" joint="pitch" kv="0.15"/>
+</actuator></mujoco>"""
+
+
+def of_velocity_servos(tmp_path, size):
+    model = mujoco.MjModel.from_xml_string(WRIST)
+    data, rows = mujoco.MjData(model), []
+    t = np.arange(0.0, 12.0, 0.005)
+    for x in t:
+        data.ctrl[:] = 1.2 * np.sin(3.0 * x), 0.9 * np.cos(4.4 * x) + 0.5 * np.sin(1.9 * x)
+        rows.append([*data.qpos, *data.qvel, *size * data.ctrl])
+        mujoco.mj_step(model, data, 5)
+    names = ["roll_pos_rad", "pitch_pos_rad", "roll_speed_rad_s", "pitch_speed_rad_s"]
+    columns = dict(zip([*names, "roll_vel_cmd", "pitch_vel_cmd"], np.array(rows).T, strict=True))
+    (tmp_path / "wrist.xml").write_text(WRIST)
+    pd.DataFrame({"t": t, **columns}).to_csv(tmp_path / "log.csv", index=False)
+    return tmp_path / "log.csv", deepkoco.load_system(tmp_path / "wrist.xml")
+
+
+def test_a_goal_of_a_speed_without_a_unit_is_read_where_the_equations_hold_with_it(tmp_path):
+    log, robot = of_velocity_servos(tmp_path, 1.0)
+    (read,) = read_logs([log], robot)
+    assert read.channels["pitch_vel"].unit == "rad/s"
+    np.testing.assert_allclose(read.channels["pitch_vel"].value, pd.read_csv(log)["pitch_vel_cmd"])
+
+
+def test_a_goal_of_a_speed_in_degrees_asks_for_its_unit(tmp_path):
+    log, robot = of_velocity_servos(tmp_path, 180.0 / np.pi)
+    with pytest.raises(LogError, match="roll_vel_cmd"):
+        read_logs([log], robot)
+
+
+def test_inspect_says_whether_a_log_needs_a_sidecar(tmp_path, capsys):
+    log, _ = of_velocity_servos(tmp_path, 1.0)
+    assert main(["inspect", str(log), "--system", str(tmp_path / "wrist.xml")]) == 0
+    assert "every command reads the log so, without a sidecar" in capsys.readouterr().out
+    of_velocity_servos(tmp_path, 180.0 / np.pi)
+    assert main(["inspect", str(log), "--system", str(tmp_path / "wrist.xml")]) == 0
+    said = capsys.readouterr().out
+    assert "write this mapping with" in said
+    assert "no name says that roll_vel_cmd is in rad/s" in said

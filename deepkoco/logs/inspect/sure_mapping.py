@@ -92,7 +92,7 @@ class SureMappings:
             fitting = propose(own, self._system, others)
         except NoProposalError as error:
             raise LogError(str(error)) from error
-        doubt = _doubt(own, fitting, self._system)
+        doubt = doubt_of_mapping(own, fitting, self._system)
         if doubt is not None:
             raise LogError(doubt)
         text = dump_sidecar(None, mapping_of(own, fitting.proposal), {"proposed by": "deepkoco inspect"})
@@ -104,7 +104,7 @@ def _whole(log: Path) -> tuple[Path, int]:
     return whole, run or 0
 
 
-def _doubt(survey: Survey, fitting: Fitting, system: System) -> str | None:
+def doubt_of_mapping(survey: Survey, fitting: Fitting, system: System) -> str | None:
     """Why a proposal for a log is not sure; None where it is."""
     joints = {finding.model: finding for finding in fitting.proposal.joints}
     if not joints:
