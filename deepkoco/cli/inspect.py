@@ -96,6 +96,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(str(error)) from error
     args.given, args.log, args.several = args.log, paths[0], len(paths)
     mapped = args.map is not None or find_sidecar(args.log) is not None
+    args.mapped = mapped or any(find_sidecar(path) is not None for path in paths)
     propose = not mapped or args.system is not None or args.out is not None
     fitting, refusal, part = _fitting(found, others, args.system) if propose else (None, None, None)
     proposal = None if fitting is None else fitting.proposal
@@ -276,11 +277,15 @@ def _print(
     if fitting is not None and args.out is None:
         names = args.system or " or ".join((fitting.proposal.system, *fitting.alike))
         written = f"--system {names} --out {sidecar_path(args.given)}"
-        doubt = "" if args.system is None else doubt_of_mapping(found, fitting, named_system(args.system))
-        if doubt is None and recording is None:
-            say(f"every command reads the log so, without a sidecar; to correct it, write it with {written}")
+        if args.system is None or args.mapped:
+            say(f"write this mapping with {written}")
+        elif (doubt := doubt_of_mapping(found, fitting, named_system(args.system))) is None:
+            say(
+                f"no sidecar is needed: all of deepkoco reads the log so; to correct it, write it with {written}"
+            )
         else:
-            say(f"write this mapping with {written}" + (f": {doubt}" if doubt else ""))
+            why = "" if doubt == fitting.doubt else f" (the log needs it: {doubt})"
+            say(f"write this mapping with {written}{why}")
     for target in (None if fitting is None else args.out, args.plot):
         if target is not None:
             say(f"written: {target}")

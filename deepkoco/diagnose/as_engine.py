@@ -42,8 +42,9 @@ SOME, FEW = 16, 6  # windows that decide, and those that do where a fit has many
 NEAR = 10.0
 # Share that a delay of all commands leaves, where it hides the steps of an engine, and the engine beside it of that.
 LATE = 0.1
-# Share of the machine's step up to which steps of an engine are short, and noise variances that the machine with early
-# commands leaves of them at most. Where a joint turns, an engine's friction acts for a whole step.
+# Share of the machine's usual step up to which steps of an engine are short. Noise variances that the machine with
+# early commands leaves of them at most, if it leaves half of what it did: where a joint turns, an engine's friction
+# acts for a whole step.
 SHORT, AS_MACHINE = 0.125, 2.0
 LONGEST = 4.0  # step that a parabola may lead to, over the longest of its three
 SHARES = (0.5, 0.125)  # of the usual step, which are tried first
@@ -120,7 +121,10 @@ def closest_of_logs(
         if len(quiet := left.undisturbed()) < len(windows):
             left = LeftOfLogs(quiet, left.near(system, held), left.logged)
             held = left(system)
-        if held.per_sample > left.noise and (as_machine := _of_short_steps(system, left, held)) is not None:
+        if (
+            left.noise < held.per_sample <= FAR
+            and (as_machine := _of_short_steps(system, left, held)) is not None
+        ):
             return as_machine
         law, leaves = closest(system, left, nearest, held=held, noise=left.noise)
     except DivergedError:
@@ -151,8 +155,11 @@ def _of_short_steps(machine: System, left: LeftOfLogs, held: Left) -> Closest | 
     with contextlib.suppress(DivergedError):
         early = left.early(machine)
         log.debug("%s: early %s", machine.name, early)
-        short = early is not None and 2.0 * early.lead <= SHORT * left.windows.step
-        if early is not None and short and early.left.less_than(held) and early.left.per_sample <= AS_MACHINE:
+        if early is None or 2.0 * early.lead > SHORT * left.windows.step:
+            return None
+        only_noise = early.left.per_sample <= left.noise and early.left.less_than(held)
+        nearly = early.left.per_sample <= AS_MACHINE and early.left.cost <= LESS * held.cost
+        if only_noise or nearly:
             near = left.near(machine, early.left, early.lead)
             return Closest(machine, early.left, near, lead=early.lead)
     return None

@@ -83,7 +83,7 @@ def as_recorded(
         return as_held
     moved = [with_early_commands(own, early) for own in recordings]
     around = closest_of_logs(moved, system, length, found.near)
-    left_of_around, as_around = around.left, Read(around.system, early, around.near)
+    left_of_around, as_around = around.left, Read(around.system, early + around.lead, around.near)
     log.debug("from their rows on %s, around them %s", left_of_held, left_of_around)
     if left_of_held is None or left_of_around is None:
         return as_around

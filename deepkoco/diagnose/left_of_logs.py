@@ -46,6 +46,7 @@ FURTHER, FIRST = 16, 4
 ENOUGH = 1.0  # fall of the cost by a step below which a fit has told what a law leaves: little beside MARGIN
 DELAYS = ("actuation_delay(all).delay", "actuation_delay.delay")  # of several commands, and of one
 EARLIEST = 0.5  # rows of a log by which commands act before their row at most
+CLEAR = 3.0  # standard deviations of a lead from which it is one
 
 
 class Left(NamedTuple):
@@ -242,17 +243,21 @@ class LeftOfLogs:
         most = EARLIEST * min(rows)
         halves = halved(replace(windows, commands=_moved(windows.commands, most)))
         problem = FitProblem(start.system, halves)
-        values = {**start.values, name: most}
+        begin = start.values[name] + most
+        values = {**start.values, name: begin}
         prior = start.prior.widened([declared[name]], values)
         state, _ = problem.fit_states(values, halves.state)
         trial = Trial("early", prior.names, prior, values, state)
         (fit,) = problem.fit([trial], self._iterations(halves, prior.names), ENOUGH)
         if fit.diverged:
             raise DivergedError("a simulation with early commands diverges")
-        lead = most - fit.values[name]
+        lead = begin - fit.values[name]
+        spread = max(1.0, fit.chi2 / max(self.windows.samples, 1))
+        k = fit.free.index(name)
+        clear = lead > CLEAR * float(np.sqrt(spread * fit.covariance[k, k]))
         known = {n: fit.values[n] for n in start.prior.names}
         left = Left(fit.cost, fit.chi2 / max(self.windows.samples, 1), {**self._values, **known})
-        return Early(left, lead) if lead > 0.0 else None
+        return Early(left, lead) if clear else None
 
     def _refit(self, start: Baseline, windows: Windows, names: tuple[str, ...]) -> Fit:
         """Fit half windows, with the slopes of a law before where there are many parameters.

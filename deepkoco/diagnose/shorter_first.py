@@ -103,7 +103,7 @@ def _shortest(
         fit = problem.fit([Trial("windows", names, prior, begin, state)], iterations)[0]
         if best is None or best.diverged or (not fit.diverged and fit.cost < best.cost):
             best = fit
-        if not (best.diverged or best.stuck) or best.chi2 <= LARGE_MISFIT * problem.windows.samples:
+        if (best.converged and not best.stuck) or best.chi2 <= LARGE_MISFIT * problem.windows.samples:
             break
     assert best is not None
     return best

@@ -40,6 +40,7 @@ def with_early_commands(recording: Recording, lead: float) -> Recording:
             *recording.warnings,
             f"{told} {'acts' if len(names) == 1 else 'act'} {1e3 * lead:.3g} ms before the rows that show "
             f"{'it' if len(names) == 1 else 'them'}: the controller is faster than the log, and a row stands for "
-            "what acts around it (or the stamps of the commands are late by as much)",
+            "what acts around it (or the stamps of the commands are late by as much, or a simulation in steps of "
+            f"{2e3 * lead:.3g} ms made the log)",
         ),
     )

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from deepkoco.diagnose import diagnose
 from deepkoco.diagnose.baseline import baseline_from
 from deepkoco.diagnose.between_rows import _lead, as_recorded, lead_of_commands
 from deepkoco.diagnose.left_of_logs import LeftOfLogs
@@ -123,21 +124,25 @@ def slider(tmp_path_factory):
     return load_system(path)
 
 
-def in_short_steps(step: float, noise: float) -> Recording:
+def in_short_steps(step: float, noise: float, speed_noise: float | None = None) -> Recording:
     """A mass on a rail in semi-implicit steps, with commands and rows every 10 ms."""
     t = np.arange(0.0, 10.0, 0.01)
     effort = 3.5 * np.sin(2.0 * np.pi * 0.4 * t) + 1.5 * np.sin(2.0 * np.pi * 0.97 * t)
-    place, speed, places = 0.0, 0.0, []
+    place, speed, places, speeds = 0.0, 0.0, [], []
     for u in effort:
         places.append(place)
+        speeds.append(speed)
         for _ in range(round(0.01 / step)):
             speed += step * (u - 4.0 * speed) / 2.0
             speed = np.sign(speed) * max(abs(speed) - step * 3.0 / 2.0, 0.0)
             place += step * speed
-    seen = np.array(places) + noise * np.random.default_rng(0).standard_normal(len(t))
-    return Recording(
-        {"push": Series(t, effort, "1", "command"), "q_rail": Series(t, seen, "m", "measurement")}
-    )
+    rng = np.random.default_rng(0)
+    seen = np.array(places) + noise * rng.standard_normal(len(t))
+    series = {"push": Series(t, effort, "1", "command"), "q_rail": Series(t, seen, "m", "measurement")}
+    if speed_noise is not None:
+        shown = np.array(speeds) + speed_noise * rng.standard_normal(len(t))
+        series["dq_rail"] = Series(t, shown, "m/s", "measurement")
+    return Recording(series)
 
 
 @pytest.mark.parametrize("step", [0.0005, 0.001])
@@ -162,3 +167,10 @@ def test_commands_that_act_on_time_or_late_have_no_lead(slider, late):
     moved = with_early_commands(in_short_steps(0.001, 2e-6), 0.0005 + late)
     early = LeftOfLogs(cut_windows([moved], slider, 1.0)).early(slider)
     assert early is None or early.lead < 2e-5
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("speed_noise", [1e-3, 1e-4])
+def test_a_healthy_log_in_short_steps_lacks_nothing(slider, speed_noise):
+    # Its speeds are half a step late, which the machine does not know.
+    assert diagnose([in_short_steps(0.001, 2e-6, speed_noise)], slider).verdict == "nothing"

@@ -12,14 +12,15 @@ from deepkoco.diagnose.residuals.residuals import waves_of
 from deepkoco.diagnose.residuals.waves import SLOTS, TINY
 from deepkoco.fit.data.windows import cut_windows
 from deepkoco.fit.fit import FitProblem
+from deepkoco.fit.solve.fine_steps import with_steps_cut
 from tests.diagnose.test_cogging_of_slides import Stage, recording
 
 
-@pytest.fixture(scope="module", params=[0.4, 1.6])
+@pytest.fixture(scope="module", params=[(0.4, 1), (1.6, 1), (0.4, 4)])
 def waves(request):
-    """Windows of as many steps as slots at most, and of more."""
-    system = Stage()
-    windows = cut_windows([recording(8.0, 1)], system, request.param)
+    """Windows of as many steps as slots at most, and of more; and in steps that are cut for their fit."""
+    system, (length, parts) = Stage(), request.param
+    windows = with_steps_cut(cut_windows([recording(8.0, 1)], system, length), parts)
     start = baseline_from(system, windows)
     return waves_of(FitProblem(start.system, windows), refit(start, windows), 0)
 
@@ -30,7 +31,7 @@ def test_sums_of_responses_explain_what_the_response_to_each_wave_does(waves):
     small = 1e-4
     basis, _ = torch.linalg.qr((waves._responses([], waves.fit.state.shape[1]) / TINY).permute(1, 2, 0))
     residual = waves.fit.residual.reshape(len(basis), -1, 1)
-    fine = waves.problem.windows.steps > SLOTS
+    coarse = waves.problem.with_usual_steps.windows.steps > SLOTS
     for number, fall, size in zip(numbers, falls, sizes, strict=True):
         pitch = 2.0 * math.pi / number
         each = np.array([[pitch, small, 0.0], [pitch, 0.0, small]])
@@ -40,8 +41,8 @@ def test_sums_of_responses_explain_what_the_response_to_each_wave_does(waves):
         wanted = torch.linalg.lstsq(direct, rest[:, None]).solution[:, 0]
         gain = float((direct @ wanted) @ rest)
         # A slot of two steps has the mean of its load.
-        assert fall == pytest.approx(gain, rel=0.05 if fine else 1e-3)
-        np.testing.assert_allclose(size, wanted, rtol=0.05 if fine else 1e-3)
+        assert fall == pytest.approx(gain, rel=0.05 if coarse else 1e-3)
+        np.testing.assert_allclose(size, wanted, rtol=0.05 if coarse else 1e-3)
 
 
 def test_the_pitch_that_is_hidden_explains_most(waves):

@@ -350,6 +350,9 @@ def test_a_joint_may_have_a_speed_alone(tmp_path, name):
         ("pan_current_A", "effort", "pan"),
         ("motor_x_A", None, "x"),  # of a motor; "pos" and "current" would say more
         ("motor_A", None, "a"),
+        ("i_pan_A", None, "i_pan"),
+        ("motor_pan_V", None, "pan"),
+        ("motor_pan_pos_A", "position", "pan_a"),
         ("current_A", "effort", "a"),  # of a joint A: no other word says a joint
         ("pos_A", "position", "a"),
         ("wrist_pos_s", "position", "wrist_s"),  # no position is in seconds

@@ -131,9 +131,43 @@ def test_a_goal_of_a_speed_in_degrees_asks_for_its_unit(tmp_path):
 def test_inspect_says_whether_a_log_needs_a_sidecar(tmp_path, capsys):
     log, _ = of_velocity_servos(tmp_path, 1.0)
     assert main(["inspect", str(log), "--system", str(tmp_path / "wrist.xml")]) == 0
-    assert "every command reads the log so, without a sidecar" in capsys.readouterr().out
+    assert "no sidecar is needed" in capsys.readouterr().out
     of_velocity_servos(tmp_path, 180.0 / np.pi)
     assert main(["inspect", str(log), "--system", str(tmp_path / "wrist.xml")]) == 0
-    said = capsys.readouterr().out
+    said = " ".join(capsys.readouterr().out.split())
     assert "write this mapping with" in said
     assert "no name says that roll_vel_cmd is in rad/s" in said
+    log.with_suffix(".yaml").write_text("channels: {}")
+    assert main(["inspect", str(log), "--system", str(tmp_path / "wrist.xml")]) == 2
+    assert "no sidecar is needed" not in capsys.readouterr().out
+
+
+CELL = """<mujoco model="cell"><option timestep="0.001"/><worldbody>
+<body><joint name="rail" type="slide" axis="1 0 0" damping="6"/><inertial pos="0 0 0" mass="2" diaginertia="1 1 1"/>
+<body><joint name="turn" axis="0 0 1" damping="0.04"/>
+<inertial pos="0 0 0" mass="0.6" diaginertia="0.01 0.01 0.01"/></body></body></worldbody>
+<actuator><velocity name="rail_vel" joint="rail" kv="30"/><velocity name="turn_vel" joint="turn" kv="0.1"/>
+</actuator></mujoco>"""
+
+
+@pytest.mark.parametrize("size", [1.0, 180.0 / np.pi])
+def test_goals_of_speeds_of_slides_do_not_vouch_for_those_of_joints_that_turn(tmp_path, size):
+    model = mujoco.MjModel.from_xml_string(CELL)
+    data, rows = mujoco.MjData(model), []
+    t = np.arange(0.0, 12.0, 0.005)
+    for x in t:
+        data.ctrl[:] = 0.3 * np.sin(3.0 * x), 1.4 * np.cos(4.4 * x) + 0.5 * np.sin(1.9 * x)
+        rows.append([*data.qpos, data.ctrl[0], size * data.ctrl[1]])
+        mujoco.mj_step(model, data, 5)
+    names = ["rail_pos_m", "turn_pos_rad", "rail_vel_cmd", "turn_vel_cmd"]
+    pd.DataFrame({"t": t, **dict(zip(names, np.array(rows).T, strict=True))}).to_csv(
+        tmp_path / "log.csv", index=False
+    )
+    (tmp_path / "cell.xml").write_text(CELL)
+    robot = deepkoco.load_system(tmp_path / "cell.xml")
+    if size == 1.0:
+        (read,) = read_logs([tmp_path / "log.csv"], robot)
+        assert {read.channels[n].unit for n in ("rail_vel", "turn_vel")} == {"m/s", "rad/s"}
+    else:
+        with pytest.raises(LogError, match="_vel_cmd is in"):
+            read_logs([tmp_path / "log.csv"], robot)

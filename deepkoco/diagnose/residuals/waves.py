@@ -165,12 +165,16 @@ class Answers(NamedTuple):
         Args:
             numbers: (D,) wave numbers k [1/rad or rad/m].
         """
-        phase = self.waves.middle()[..., None] * torch.from_numpy(np.ascontiguousarray(numbers))  # (W, n, D)
-        wave = torch.stack([torch.sin(phase), torch.cos(phase)], -1)
-        loads = torch.stack([wave[:, slot].mean(1) for slot in self.slots], 1)  # (W, K, D, 2)
+        loads = torch.stack([self._load(float(number)) for number in numbers], 2)  # (W, K, D, 2)
         acting = (self.gram @ loads.flatten(2)).unflatten(-1, loads.shape[2:])
         gram = (loads[..., :, None] * acting[..., None, :]).sum((0, 1))
         match = (loads * self.match[..., None, None]).sum((0, 1))
         gram = gram + 1e-9 * gram.diagonal(dim1=-2, dim2=-1).mean(-1)[:, None, None] * torch.eye(2)
         size = torch.linalg.solve(gram, match)
         return (size * match).sum(-1).numpy(), size.numpy()
+
+    def _load(self, number: float) -> Tensor:
+        """Return the mean of the sine and the cosine of a wave number in each slot (W, K, 2)."""
+        phase = number * self.waves.middle()
+        wave = torch.stack([torch.sin(phase), torch.cos(phase)], -1)  # (W, n, 2)
+        return torch.stack([wave[:, slot].mean(1) for slot in self.slots], 1)

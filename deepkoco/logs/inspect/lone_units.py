@@ -116,19 +116,24 @@ def with_units_held(system: System, proposal: Proposal, samples: Mapping[str, Sa
     if not (groups or efforts or rates):
         return proposal
     tried = [UNITS[parse_unit(group[0].unit).quantity] for group in groups]
-    found: dict[tuple[tuple[str, ...], float, float], float] = {}
-    powers = [(power, 1.0) for power in (POWERS if efforts else (1.0,))]
-    kinds = {parse_unit(c.channel.unit).quantity for c in rates}
-    powers += [(1.0, factor) for kind in kinds for factor in RATES[kind]]
-    for units, (power, rate) in product(product(*tried), powers):
+    found: dict[tuple[tuple[str, ...], str, float], float] = {}
+    kinds = {c.channel.name: parse_unit(c.channel.unit).quantity for c in rates}
+    # Factor of all efforts, or of all goals of one kind of speed.
+    factors = [("effort", power) for power in (POWERS if efforts else (1.0,))]
+    factors += [(kind, factor) for kind in sorted(set(kinds.values())) for factor in RATES[kind]]
+    for units, (kind, factor) in product(product(*tried), factors):
         taken = {c.channel.name: Reading(u) for group, u in zip(groups, units, strict=True) for c in group}
-        factors = {**{c.channel.name: power for c in efforts}, **{c.channel.name: rate for c in rates}}
-        given = [replace(c, scale=factors.get(c.channel.name, 1.0) * c.scale) for c in drives]
+        scaled = (
+            {c.channel.name for c in efforts}
+            if kind == "effort"
+            else {n for n, k in kinds.items() if k == kind}
+        )
+        given = [replace(c, scale=factor * c.scale) if c.channel.name in scaled else c for c in drives]
         try:
-            found[units, power, rate] = _misfit(system, positions, taken, given, samples)
+            found[units, kind, factor] = _misfit(system, positions, taken, given, samples)
         except (RuntimeError, ValueError):  # equations that cannot be evaluated there
             return proposal
-    own = found.pop((tuple(group[0].unit for group in groups), 1.0, 1.0))
+    own = found.pop((tuple(group[0].unit for group in groups), "effort", 1.0))
     if not (own <= FITS and all(own < HALF * other for other in found.values())):
         return proposal
     known = {c.channel.name for c in (*free, *efforts, *rates)}

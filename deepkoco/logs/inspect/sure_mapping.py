@@ -189,7 +189,7 @@ def _doubt_of_command(
         tracking = None if finding is None else finding.tracking
         follows = tracking is not None and tracking.follows and ONE_UNIT[0] < tracking.slope < ONE_UNIT[1]
         return None if follows else f"{column.label} is no goal that its position follows in one unit"
-    # The goal of a speed says so; whether it is in the channel's unit is asked below.
+    # A drive that takes the goal of a speed; whether the column is in its unit is asked below.
     of_a_speed = driven is not None and channel.unit == system.state_units[system.joints + driven]
     other = POSITION if of_a_speed else POSITION | SPEED
     if not is_symbol_of(column) and (

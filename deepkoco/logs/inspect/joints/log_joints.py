@@ -331,7 +331,8 @@ def _without_unit(name: str) -> str:
     words = {part.lower() for part in ahead}
     letter = len(parts) - len(ahead) == 1 and max(map(len, end)) == 1
     quantity = parse_unit(unit).quantity
-    of_a_drive = {*MOTORS, *SYMBOLS.get(quantity, ())} if quantity in ELECTRIC else set()
+    electric = quantity in ELECTRIC and not words & (POSITION | SPEED)
+    of_a_drive = {*MOTORS, *SYMBOLS.get(quantity, ())} if electric else set()
     if letter and (not words & (EFFORT | GOAL | of_a_drive) or words <= _ROLE_WORDS | of_a_drive):
         return name
     return "_".join(ahead)
