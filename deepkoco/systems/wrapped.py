@@ -111,6 +111,10 @@ class WrappedSystem(System):
         return self.base.has_equations
 
     @property
+    def has_accelerations(self) -> bool:
+        return self.base.has_accelerations
+
+    @property
     def resizable(self) -> bool:
         return self.base.resizable
 
