@@ -21,11 +21,8 @@ from deepkoco.fit.solve.prior import Prior
 from deepkoco.systems import ExtendedSystem
 
 FEWEST = 10  # samples of a channel in a window that show more of the motion than where it begins
-NEARER = (
-    0.0,
-    0.5,
-    1.0,
-)  # shares of the way to the centre of the prior, of fits that begin one after the other
+# Shares of the way to the centre of the prior, of fits that begin one after the other.
+NEARER = (0.0, 0.5, 1.0)
 
 
 def shorter_first(

@@ -60,3 +60,23 @@ def test_a_cause_that_was_not_fitted_is_ranked_behind_the_best_that_was(refitted
     found = ranked(problem, start, reference, [known[n] for n in ("coulomb", "viscous")], fits, promises)
     assert [c.cause.name for c in found.candidates] == ["viscous", "coulomb"]
     assert found.candidates[1].delta_bic == found.candidates[0].delta_bic
+
+
+def test_a_simple_friction_that_promises_little_is_fitted_beside_one_of_more_parameters(
+    refitted, monkeypatch
+):
+    # Its slope in a refit without it promised little of what it explains, and a falling friction was named.
+    problem, start, reference, hints = refitted
+    known = catalogue(problem.system.base)
+    screen = selection.screen
+
+    def too_little(*given):
+        return [
+            p._replace(promise=p.promise * (1e-4 if p.cause.name == "coulomb" else 1.0))
+            for p in screen(*given)
+        ]
+
+    monkeypatch.setattr(selection, "screen", too_little)
+    found = selection.rank(problem, start, reference, (), hints, [known[n] for n in ("stribeck", "coulomb")])
+    assert found.best.cause.name == "coulomb"
+    assert found.best.fit.values["coulomb.torque"] == pytest.approx(0.3, rel=0.1)

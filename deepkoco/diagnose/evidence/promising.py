@@ -16,6 +16,7 @@ SEARCHED = 10  # the same of a cause that is searched in time
 # With many parameters, causes of each joint (and as many without a joint) that are fitted: a cause at a joint shows
 # mostly in the motion of that joint, and the score test orders those of one joint well.
 PER_PLACE = 4
+FRICTION = "friction"  # family
 
 
 def largest_promises(promises: Sequence[StartPoint]) -> dict[str, float]:
@@ -90,3 +91,29 @@ def best_of_each_place(points: Sequence[StartPoint], charge: Mapping[str, float]
             own.add(name)
     names = set().union(*kept.values())
     return [p for p in points if p.cause.name in names]
+
+
+def simpler_frictions(
+    found: Ranking, promises: Sequence[StartPoint], asked: Collection[str]
+) -> list[StartPoint]:
+    """Return frictions of the joint of the best cause with fewer parameters, where that is a friction, too.
+
+    A friction that falls with the speed has one that does not as a special case. How much that would explain is taken
+    from its slope where there is none of it, which tells little of a joint that stops.
+
+    Args:
+        found: The ranking.
+        promises: Starts of causes.
+        asked: Names of the causes that have been fitted.
+    """
+    if not found.candidates or found.best.cause.family != FRICTION:
+        return []
+    best = found.best.cause
+    return [
+        p
+        for p in promises
+        if p.cause.family == FRICTION
+        and p.cause.joint == best.joint
+        and len(p.cause.free) < len(best.free)
+        and p.cause.name not in asked
+    ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -37,6 +37,7 @@ from deepkoco.diagnose.evidence.promising import (
     largest_promises,
     outstanding,
     promising_starts,
+    simpler_frictions,
 )
 from deepkoco.diagnose.evidence.ranking import Ranking, penalty, ranked
 from deepkoco.diagnose.evidence.screening import Linearised, StartPoint, screen
@@ -58,7 +59,6 @@ FURTHER = 30.0
 PATIENCE = 40  # further iterations for a winner that has not converged
 MOST_AS_GIVEN = 12  # causes that only the score test at the baseline's values promises
 MOST_CHANGED = 6  # and changed parameters
-FRICTION = "friction"  # family
 
 
 def rank(
@@ -213,7 +213,7 @@ def rank(
     for _ in range(ROUNDS):
         found = ranked(problem, start, reference, tried, _sound(fits), largest_promises(promises))
         rest = outstanding(found, open_ones, asked, SLOTS * len(problem.windows), wanted)
-        rest += _simpler_frictions(found, open_ones, {*asked, *(p.cause.name for p in rest)})
+        rest += simpler_frictions(found, open_ones, {*asked, *(p.cause.name for p in rest)})
         if many:
             rest = best_of_each_place(without_hopeless_slow(rest, slow, charge), charge)
         if not rest or (
@@ -264,32 +264,6 @@ def rank(
         ranking = ranked(problem, start, reference, tried, fits, promised)
     ranking = with_natural_shapes(problem, start, accepted, ranking)
     return replace(ranking, unfitted=unfitted, beside=tuple(names), asked=tuple(c.name for c in everything))
-
-
-def _simpler_frictions(
-    found: Ranking, promises: Sequence[StartPoint], asked: Collection[str]
-) -> list[StartPoint]:
-    """Return frictions of the joint of the best cause with fewer parameters, where that is a friction, too.
-
-    A friction that falls with the speed has one that does not as a special case. How much that would explain is taken
-    from its slope where there is none of it, which tells little of a joint that stops.
-
-    Args:
-        found: The ranking.
-        promises: Starts of causes.
-        asked: Names of the causes that have been fitted.
-    """
-    if not found.candidates or found.best.cause.family != FRICTION:
-        return []
-    best = found.best.cause
-    return [
-        p
-        for p in promises
-        if p.cause.family == FRICTION
-        and p.cause.joint == best.joint
-        and len(p.cause.free) < len(best.free)
-        and p.cause.name not in asked
-    ]
 
 
 def _sound(fits: Mapping[str, Fit]) -> dict[str, Fit]:
