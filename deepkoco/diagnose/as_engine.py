@@ -43,9 +43,11 @@ NEAR = 10.0
 # Share that a delay of all commands leaves, where it hides the steps of an engine, and the engine beside it of that.
 LATE = 0.1
 # Share of the machine's usual step up to which steps of an engine are short. Noise variances that the machine with
-# early commands leaves of them at most, if it leaves half of what it did: where a joint turns, an engine's friction
-# acts for a whole step.
+# early commands leaves of them at most: where a joint turns, an engine's friction acts for a whole step.
 SHORT, AS_MACHINE = 0.125, 2.0
+NOTHING = (
+    1.0  # noise variances that a machine leaves, from which no engine is asked: there is nothing to explain
+)
 LONGEST = 4.0  # step that a parabola may lead to, over the longest of its three
 SHARES = (0.5, 0.125)  # of the usual step, which are tried first
 DIGITS = 2  # of a step that is found
@@ -121,6 +123,8 @@ def closest_of_logs(
         if len(quiet := left.undisturbed()) < len(windows):
             left = LeftOfLogs(quiet, left.near(system, held), left.logged)
             held = left(system)
+        if held.per_sample <= NOTHING:
+            return _closest(system, held, held, left)
         if (
             left.noise < held.per_sample <= FAR
             and (as_machine := _of_short_steps(system, left, held)) is not None
@@ -157,9 +161,7 @@ def _of_short_steps(machine: System, left: LeftOfLogs, held: Left) -> Closest | 
         log.debug("%s: early %s", machine.name, early)
         if early is None or 2.0 * early.lead > SHORT * left.windows.step:
             return None
-        only_noise = early.left.per_sample <= left.noise and early.left.less_than(held)
-        nearly = early.left.per_sample <= AS_MACHINE and early.left.cost <= LESS * held.cost
-        if only_noise or nearly:
+        if early.left.per_sample <= AS_MACHINE and early.left.less_than(held):
             near = left.near(machine, early.left, early.lead)
             return Closest(machine, early.left, near, lead=early.lead)
     return None

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from deepkoco.diagnose.baseline import Baseline, noisier, tempered
+from deepkoco.diagnose.causes.units import LARGE_MISFIT
 from deepkoco.diagnose.residuals.residuals import white_limit
 from deepkoco.diagnose.shorter_first import shorter_first
 from deepkoco.fit.data.halves import halved
@@ -161,20 +162,29 @@ def first_refit(start: Baseline, windows: Windows) -> tuple[Windows, Fit]:
     """
     if start.near is not None:
         try:
-            return _first_refit(start.begun(), windows)
+            return _first_refit(start.begun(), windows, begun=True)
         except DivergedError:
             start = replace(start, near=None)
     return _first_refit(start, windows)
 
 
-def _first_refit(start: Baseline, windows: Windows) -> tuple[Windows, Fit]:
+def _first_refit(start: Baseline, windows: Windows, begun: bool = False) -> tuple[Windows, Fit]:
+    """As :func:`first_refit`, from the present values.
+
+    Args:
+        start, windows: As there.
+        begun: Whether earlier fits of these logs have led to these values.
+    """
     names, problem_of = start.prior.names, partial(FitProblem, start.system)
     if windows.wander is None:
         # Without it, long windows find no minimum.
         windows = with_noise_like(problem_of, windows, start.values, start.wander)
-    first = from_shorter_windows(start, windows, names)
     chosen = few_windows(windows, len(names))
     halves = windows.valid[chosen].sum()
+    first = on_half_windows(start, windows, names) if begun else None
+    # Near its minimum, a fit that has not come to an end is no reason for shorter windows.
+    if first is None or first.stuck or first.chi2 > LARGE_MISFIT * float(halves):
+        first = from_shorter_windows(start, windows, names)
     if windows.wander is not None or first.chi2 <= white_limit(windows) * float(halves):
         return windows, first
     state = windows.state.clone()

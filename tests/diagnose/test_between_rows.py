@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from deepkoco.diagnose import diagnose
+from deepkoco.diagnose.as_engine import closest_of_logs
 from deepkoco.diagnose.baseline import baseline_from
 from deepkoco.diagnose.between_rows import _lead, as_recorded, lead_of_commands
 from deepkoco.diagnose.left_of_logs import LeftOfLogs
@@ -153,6 +154,33 @@ def test_short_steps_of_an_engine_are_a_machine_with_early_commands(slider, step
     assert read.early == pytest.approx(0.5 * step, rel=0.1)
     assert read.near is not None
     assert read.near.values["frictionloss(rail)"] == pytest.approx(3.0, rel=2e-3)
+
+
+def test_short_steps_are_told_beside_what_no_simulation_explains(slider):
+    # With half of that left, the engine was asked in ten steps more, and none of them left only noise.
+    read = as_recorded([with_a_tone(in_short_steps(0.001, 6e-6), 6e-6, 4.0)], slider, 1.0)
+    assert read.system.engine is None
+    assert read.early == pytest.approx(0.0005, rel=0.1)
+
+
+def with_a_tone(recording: Recording, size: float, frequency: float) -> Recording:
+    place = recording.channels["q_rail"]
+    value = place.value + size * np.sin(2.0 * np.pi * frequency * place.t)
+    return Recording({**recording.channels, "q_rail": replace(place, value=value)})
+
+
+def test_no_engine_is_asked_where_a_machine_leaves_nothing(slider, monkeypatch):
+    def asked(*_, **__):
+        raise AssertionError("an engine was asked")
+
+    found = closest_of_logs([in_short_steps(0.0005, 1e-4)], slider, 1.0)
+    assert found.left is not None
+    assert found.left.per_sample < 1.0
+    monkeypatch.setattr("deepkoco.diagnose.as_engine.closest", asked)
+    again = closest_of_logs([in_short_steps(0.0005, 1e-4)], slider, 1.0)
+    assert again.system is slider
+    with pytest.raises(AssertionError, match="asked"):
+        closest_of_logs([in_short_steps(0.0025, 2e-6)], slider, 1.0)
 
 
 def test_long_steps_of_an_engine_stay_those_of_an_engine(slider):
