@@ -43,7 +43,8 @@ NEAR = 10.0
 # Share that a delay of all commands leaves, where it hides the steps of an engine, and the engine beside it of that.
 LATE = 0.1
 # Share of the machine's usual step up to which steps of an engine are short. Noise variances that the machine with
-# early commands leaves of them at most: where a joint turns, an engine's friction acts for a whole step.
+# early commands leaves of them at most: where a joint turns, an engine's friction acts for a whole step, and logs hold
+# what no simulation explains.
 SHORT, AS_MACHINE = 0.125, 2.0
 NOTHING = (
     1.0  # noise variances that a machine leaves, from which no engine is asked: there is nothing to explain
@@ -123,11 +124,10 @@ def closest_of_logs(
         if len(quiet := left.undisturbed()) < len(windows):
             left = LeftOfLogs(quiet, left.near(system, held), left.logged)
             held = left(system)
-        if held.per_sample <= NOTHING:
-            return _closest(system, held, held, left)
         if (
             left.noise < held.per_sample <= FAR
             and (as_machine := _of_short_steps(system, left, held)) is not None
+            and _explains_as_much(as_machine, system, left, held, nearest)
         ):
             return as_machine
         law, leaves = closest(system, left, nearest, held=held, noise=left.noise)
@@ -165,6 +165,25 @@ def _of_short_steps(machine: System, left: LeftOfLogs, held: Left) -> Closest | 
             near = left.near(machine, early.left, early.lead)
             return Closest(machine, early.left, near, lead=early.lead)
     return None
+
+
+def _explains_as_much(
+    as_machine: Closest, machine: System, left: LeftOfLogs, held: Left, nearest: Callable[[float], float]
+) -> bool:
+    """Return whether the machine with early commands leaves only noise, or no more than the engine of its file.
+
+    Friction that creeps is none of a machine, however short the steps. Friction that holds in short steps is that of a
+    machine, so engines of rigid bodies are not asked.
+
+    Args:
+        as_machine: What was found.
+        machine, left, held: As for :func:`_of_short_steps`.
+        nearest: As for :func:`closest`.
+    """
+    assert as_machine.left is not None
+    if as_machine.left.per_sample <= left.noise or MUJOCO not in machine.engines:
+        return True
+    return not _as_in_file(machine, left, held, NEAR, nearest)[0].less_than(as_machine.left)
 
 
 def _closest(law: System, leaves: Left, told: Left, left: LeftOfLogs) -> Closest:

@@ -10,7 +10,6 @@ import numpy as np
 import torch
 
 from deepkoco.diagnose.baseline import Baseline, noisier, tempered
-from deepkoco.diagnose.causes.units import LARGE_MISFIT
 from deepkoco.diagnose.residuals.residuals import white_limit
 from deepkoco.diagnose.shorter_first import shorter_first
 from deepkoco.fit.data.halves import halved
@@ -137,14 +136,20 @@ def _half_windows(start: Baseline, windows: Windows, names: tuple[str, ...]) -> 
     return FitProblem(start.system, halved(windows.take(few_windows(windows, len(names)))))
 
 
-def from_shorter_windows(start: Baseline, windows: Windows, names: tuple[str, ...]) -> Fit:
+def from_shorter_windows(
+    start: Baseline, windows: Windows, names: tuple[str, ...], begun: bool = False
+) -> Fit:
     """As :func:`on_half_windows`, with windows as short as it takes to find a minimum (:mod:`.shorter_first`).
+
+    Args:
+        start, windows, names: As there.
+        begun: As for :func:`.shorter_first`.
 
     Raises:
         DivergedError: The simulation diverges at the present values, and at those of shorter windows.
     """
     halves = halved(windows.take(few_windows(windows, len(names))))
-    return shorter_first(start.system, start.values, start.prior, names, halves)
+    return shorter_first(start.system, start.values, start.prior, names, halves, begun=begun)
 
 
 def first_refit(start: Baseline, windows: Windows) -> tuple[Windows, Fit]:
@@ -162,7 +167,8 @@ def first_refit(start: Baseline, windows: Windows) -> tuple[Windows, Fit]:
     """
     if start.near is not None:
         try:
-            return _first_refit(start.begun(), windows, begun=True)
+            begun = any(n in start.near.values for n in start.prior.names)
+            return _first_refit(start.begun(), windows, begun)
         except DivergedError:
             start = replace(start, near=None)
     return _first_refit(start, windows)
@@ -179,12 +185,9 @@ def _first_refit(start: Baseline, windows: Windows, begun: bool = False) -> tupl
     if windows.wander is None:
         # Without it, long windows find no minimum.
         windows = with_noise_like(problem_of, windows, start.values, start.wander)
+    first = from_shorter_windows(start, windows, names, begun)
     chosen = few_windows(windows, len(names))
     halves = windows.valid[chosen].sum()
-    first = on_half_windows(start, windows, names) if begun else None
-    # Near its minimum, a fit that has not come to an end is no reason for shorter windows.
-    if first is None or first.stuck or first.chi2 > LARGE_MISFIT * float(halves):
-        first = from_shorter_windows(start, windows, names)
     if windows.wander is not None or first.chi2 <= white_limit(windows) * float(halves):
         return windows, first
     state = windows.state.clone()

@@ -32,6 +32,7 @@ def shorter_first(
     names: tuple[str, ...],
     windows: Windows,
     iterations: int = ITERATIONS,
+    begun: bool = False,
 ) -> Fit:
     """Fit parameters on windows; where that diverges or finds no minimum, on the shortest ones first, then longer ones.
 
@@ -44,6 +45,8 @@ def shorter_first(
         names: Parameters to free.
         windows: The windows.
         iterations: Largest number of simulations of each fit.
+        begun: Whether earlier fits have led to the start values: a fit that has not come to an end is then no reason
+            for shorter windows.
 
     Returns:
         The fit of these windows with the lower cost.
@@ -55,7 +58,7 @@ def shorter_first(
     state, _ = problem.fit_states(values, windows.state)
     trial = Trial("windows", names, prior, values, state)
     found = problem.fit([trial], iterations)[0]
-    good = found.converged and not (found.diverged or found.stuck)
+    good = (begun or found.converged) and not (found.diverged or found.stuck)
     if good and found.chi2 <= LARGE_MISFIT * windows.samples:
         return found
     levels = [problem]

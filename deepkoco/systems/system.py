@@ -211,7 +211,7 @@ class System(SignalPath, NamedJoints, Drawn, metaclass=Declared):
                 efforts[command] = efforts[command] + motion.load(joint)
             state = torch.stack(torch.broadcast_tensors(*motion.angles, *motion.speeds), -1)
             effort = efforts[0] if len(efforts) == 1 else torch.stack(torch.broadcast_tensors(*efforts), -1)
-            return self.derivative(state, effort, parameters)[..., joints : 2 * joints].unbind(-1)
+            return self.derivative(state, effort, parameters)[..., joints:].unbind(-1)
 
         return acceleration
 

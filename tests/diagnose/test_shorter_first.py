@@ -79,6 +79,25 @@ def test_a_fit_that_finds_a_minimum_needs_no_shorter_windows(arm, monkeypatch):
     assert [w.length for w in fitted] == [windows.length]
 
 
+def test_a_fit_that_begins_near_may_end_before_its_minimum(arm, monkeypatch):
+    windows, start, least = arm
+    near = {**start.values, **{n: 1.001 * least.values[n] for n in start.prior.names}}
+    fitted = spied(monkeypatch)
+    found = shorter_first(start.system, near, start.prior, start.prior.names, windows, 2, begun=True)
+    assert not found.converged
+    assert [w.length for w in fitted] == [windows.length]
+    fitted.clear()
+    shorter_first(start.system, near, start.prior, start.prior.names, windows, 2)
+    assert len(fitted) > 1
+
+
+def test_a_fit_that_does_not_come_near_needs_shorter_windows_wherever_it_begins(arm):
+    windows, start, least = arm
+    far, names = far_values(windows, start, 3), start.prior.names
+    found = shorter_first(start.system, far, start.prior, names, windows, begun=True)
+    assert found.cost == pytest.approx(least.cost, rel=0.0, abs=TOLERANCE)
+
+
 def test_windows_become_no_shorter_than_shows_a_motion(arm, monkeypatch):
     windows, start, _ = arm
     fitted = spied(monkeypatch)

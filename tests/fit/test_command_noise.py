@@ -214,21 +214,6 @@ def test_a_refit_begins_with_the_noise_and_the_values_that_are_known():
         assert refitted.values[name] == pytest.approx(fit.values[name], abs=0.1 * spread)
 
 
-def test_a_refit_that_begins_near_asks_no_shorter_windows(monkeypatch):
-    def asked(*_):
-        raise AssertionError("shorter windows were asked")
-
-    start, windows = windows_of(log())
-    found, fit = refit_sharply(start, windows)
-    monkeypatch.setattr("deepkoco.diagnose.baseline_refit.from_shorter_windows", asked)
-    again, refitted = refit_sharply(replace(start, near=Near(dict(fit.values), None)), windows)
-    assert again.steps == found.steps
-    assert refitted.cost == pytest.approx(fit.cost, rel=1e-4)
-    # From values that nothing is near, they are asked.
-    with pytest.raises(AssertionError, match="shorter"):
-        refit_sharply(start, windows)
-
-
 def test_what_is_near_counts_for_the_free_parameters_alone():
     start, _ = windows_of(log())
     near = replace(start, near=Near({"gravity_torque": 2.0, "lag.time_constant": 0.3}, None)).begun()

@@ -214,6 +214,10 @@ WRONG = [
         {"accelerations": None, "derivative": lambda self, state, effort, p: state[..., :1]},
         "its derivative has the rates of 0 speeds for 1 joint; .* its derivative has 2 entries",
     ),
+    (
+        {"accelerations": None, "derivative": lambda self, state, effort, p: state[..., [1, 0, 1]]},
+        "its derivative has the rates of 2 speeds for 1 joint; .* its derivative has 2 entries",
+    ),
     ({"accelerations": law(lambda p, motion: (motion.efforts[0] / p["mas"],))}, "fail .* KeyError: 'mas'"),
     ({"accelerations": law(lambda p, motion: motion.efforts[0])}, "are Tensor; return a tuple of 1 tensors"),
     ({"accelerations": law(lambda p, motion: (motion.efforts[0] / p["mass"],))}, r"add motion\.load\(0\)"),

@@ -12,9 +12,7 @@ SCOUTED = 0.7  # share of the whole fall of a cost that those iterations reach a
 PROMISING_SHARE = 0.3  # share of the best candidate's fall of the cost that a candidate needs by then
 HALFWAY = 5  # further iterations, after which it needs HOPEFUL_SHARE
 HOPEFUL_SHARE = 0.6  # share of the best candidate's fall of the cost
-# Candidates that are fitted with slopes of their own, where candidates share the slopes of their reference; those of
-# small causes, which hardly change the slopes.
-FRONT, SMALL_FRONT = 6, 2
+FRONT = 6  # candidates that are fitted with slopes of their own, where candidates share the slopes of their reference
 
 
 def fit_best(
@@ -23,7 +21,6 @@ def fit_best(
     reference: Fit,
     known: FrozenSlopes | None = None,
     worth: float = 0.0,
-    small: bool = False,
 ) -> dict[str, Fit]:
     """Return the fit of each name: a few iterations of every trial, then more for the best trial of each name.
 
@@ -33,7 +30,6 @@ def fit_best(
         reference: Fit whose cost they lower.
         known: Slopes near their starts, which the first iterations keep.
         worth: Fall of the cost that a cause needs; of those that fall short of it, only the best one is continued.
-        small: Whether the causes are small ones.
     """
     if not trials:
         return {}
@@ -57,7 +53,7 @@ def fit_best(
     longer = (
         _fit_hopeful(problem, [trial for trial, _ in longer], reference)
         if known is None
-        else _fit_front(problem, longer, known, SMALL_FRONT if small else FRONT)
+        else _fit_front(problem, longer, known)
     )
     return {name: scout for name, (scout, _) in best.items()} | dict(zip(running, longer, strict=True))
 
@@ -77,16 +73,14 @@ def _fit_hopeful(problem: FitProblem, trials: Sequence[Trial], reference: Fit) -
     return fits
 
 
-def _fit_front(
-    problem: FitProblem, scouted: Sequence[tuple[Trial, Fit]], known: FrozenSlopes, most: int
-) -> list[Fit]:
+def _fit_front(problem: FitProblem, scouted: Sequence[tuple[Trial, Fit]], known: FrozenSlopes) -> list[Fit]:
     """Fit trials with known slopes as far as these lead, then the best of them with slopes of their own."""
     trials, fits = [trial for trial, _ in scouted], [scout for _, scout in scouted]
     open_ones = [k for k, fit in enumerate(fits) if not fit.converged]
     found = problem.fit([trials[k] for k in open_ones], ITERATIONS, CLOSE, known, exact=False, renewals=0)
     for k, fit in zip(open_ones, found, strict=True):
         fits[k] = fit
-    front = sorted(range(len(fits)), key=lambda k: fits[k].cost)[:most]
+    front = sorted(range(len(fits)), key=lambda k: fits[k].cost)[:FRONT]
     again = [trials[k].from_fit(fits[k]) for k in front]
     for k, fit in zip(front, problem.fit(again, ITERATIONS, CLOSE, exact=False), strict=True):
         if fit.cost <= fits[k].cost:

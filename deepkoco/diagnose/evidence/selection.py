@@ -146,7 +146,7 @@ def rank(
     known = tangent.kept() if sharing else None
     of_slips = slipped(problem, start, accepted, reference, slips, HOPELESS if many else np.inf)
     if sharing:
-        fits = fit_best(problem, trials, reference, known, small=not strong)
+        fits = fit_best(problem, trials, reference, known)
         fits |= fit_best(problem, of_slips, reference)
         trials += of_slips
     else:
