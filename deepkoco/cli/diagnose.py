@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -150,6 +151,8 @@ def run(args: argparse.Namespace) -> int:
 class _Doing:
     """The current step and the time since the begin, on stderr: one line on a terminal, else a new line now and then.
 
+    A step that begins soon after a line is written once it has taken long enough for one of its own.
+
     Args:
         quiet: Say nothing.
         every: Shortest time between two lines where stderr is no terminal [s].
@@ -171,6 +174,7 @@ class _Doing:
         self.task = self.line.add_task("", total=None)
         self.quiet, self.every, self.begin = quiet, every, time.monotonic()
         self.said = self.begin
+        self.lock, self.later = threading.Lock(), threading.Timer(0.0, lambda: None)
 
     def __enter__(self) -> Progress:
         self.line.start()
@@ -179,11 +183,31 @@ class _Doing:
         return lambda doing: self.line.update(self.task, description=doing)
 
     def _log(self, doing: str) -> None:
+        if self.quiet:
+            return
         now = time.monotonic()
-        if not self.quiet and now - self.said >= self.every:
-            self.said = now
-            sys.stderr.write(f"{now - self.begin:6.0f} s  {doing}\n")
-            sys.stderr.flush()
+        with self.lock:
+            self.later.cancel()
+            wait = self.said + self.every - now
+            if wait <= 0.0:
+                self._write(doing, now)
+                return
+            self.later = threading.Timer(wait, self._write_if_latest, (doing, now))
+            self.later.daemon = True
+            self.later.start()
+
+    def _write_if_latest(self, doing: str, since: float) -> None:
+        with self.lock:
+            # A step that has begun while this one waited for the lock has a timer of its own.
+            if self.later is threading.current_thread():
+                self._write(doing, since)
+
+    def _write(self, doing: str, since: float) -> None:
+        self.said = time.monotonic()
+        sys.stderr.write(f"{since - self.begin:6.0f} s  {doing}\n")
+        sys.stderr.flush()
 
     def __exit__(self, *_: object) -> None:
+        with self.lock:
+            self.later.cancel()
         self.line.stop()
