@@ -46,9 +46,6 @@ LATE = 0.1
 # early commands leaves of them at most: where a joint turns, an engine's friction acts for a whole step, and logs hold
 # what no simulation explains.
 SHORT, AS_MACHINE = 0.125, 2.0
-NOTHING = (
-    1.0  # noise variances that a machine leaves, from which no engine is asked: there is nothing to explain
-)
 LONGEST = 4.0  # step that a parabola may lead to, over the longest of its three
 SHARES = (0.5, 0.125)  # of the usual step, which are tried first
 DIGITS = 2  # of a step that is found
@@ -183,7 +180,9 @@ def _explains_as_much(
     assert as_machine.left is not None
     if as_machine.left.per_sample <= left.noise or MUJOCO not in machine.engines:
         return True
-    return not _as_in_file(machine, left, held, NEAR, nearest)[0].less_than(as_machine.left)
+    with contextlib.suppress(DivergedError):  # what runs away explains nothing
+        return not _as_in_file(machine, left, held, NEAR, nearest)[0].less_than(as_machine.left)
+    return True
 
 
 def _closest(law: System, leaves: Left, told: Left, left: LeftOfLogs) -> Closest:

@@ -17,6 +17,7 @@ from deepkoco.fit.data.noise import Noise
 from deepkoco.fit.data.series import CommandSeries, channel_series
 from deepkoco.fit.data.windows import cut_windows, moving
 from deepkoco.fit.fit import FitProblem
+from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.logs.between_rows import changes_often, with_early_commands
 from deepkoco.logs.recording import Recording, Series
 from deepkoco.systems import load_system, make_system
@@ -186,6 +187,17 @@ def test_early_commands_are_taken_where_the_engine_of_the_file_leaves_no_less(sl
     held = Left(3000.0, 1.5)
     assert _explains_as_much(early, slider, Leaves(), held, lambda step: step) is taken
     assert _explains_as_much(early._replace(left=Left(2300.0, 1.15)), slider, Leaves(), held, float)
+
+
+def test_early_commands_stay_where_the_engine_of_the_file_runs_away(slider):
+    class Diverges:
+        noise = 1.2
+
+        def __call__(self, law):
+            raise DivergedError("far away")
+
+    early = Closest(slider, Left(2800.0, 1.4), lead=2e-4)
+    assert _explains_as_much(early, slider, Diverges(), Left(3000.0, 1.5), float)
 
 
 def test_long_steps_of_an_engine_stay_those_of_an_engine(slider):
