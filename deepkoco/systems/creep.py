@@ -48,7 +48,7 @@ def slips(speed: Tensor, acceleration: Tensor, level: Tensor, creep: Creep) -> T
 
 
 def slide_and_creep(
-    speed: Tensor, free: Tensor, level: Tensor, own: Tensor, creep: Creep, h: float
+    speed: Tensor, free: Tensor, level: Tensor, own: Tensor, creep: Creep, h: float | Tensor
 ) -> tuple[Tensor, Tensor]:
     """Speed after a step, and way over it, of one joint under a constant acceleration and friction that creeps.
 
@@ -63,6 +63,7 @@ def slide_and_creep(
         h: Step [s].
     """
     soft, b = own * creep.inertia, creep.rate
+    whole = h if isinstance(h, Tensor) else torch.full_like(speed, h)
     full = own * level
     edge = full * (1.0 + 1.0 / soft)  # of |free + b v|, from which the joint slips
     asked = free + b * speed
@@ -75,13 +76,13 @@ def slide_and_creep(
     until = torch.where(
         comes,
         (low - speed) / torch.where(comes, slowing, -1.0),
-        torch.where(outside, torch.full_like(speed, h), 0.0),
+        torch.where(outside, whole, 0.0),
     )
-    until = until.clamp(0.0, h)
+    until = torch.minimum(until.clamp_min(0.0), whole)
     first = speed + slowing * until
     way = 0.5 * (speed + first) * until
     # Second phase: it creeps, for ever if friction can hold the load.
-    rest = h - until
+    rest = whole - until
     rate, goal = soft * b / (1.0 + soft), free / (soft * b)
     start = torch.where(comes & (rest > 0.0), low, first)
     leaves = free.abs() > full

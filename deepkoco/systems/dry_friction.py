@@ -27,6 +27,7 @@ from deepkoco.systems.plain import is_plain, is_readable
 Values = tuple[Tensor, ...]
 Levels = tuple[Tensor | None, ...]
 Creeps = tuple[Creep, ...] | None
+StepLength = float | Tensor  # length of a step [s]: one for all simulations, or one for each
 
 SWEEPS = 400  # at most; two joints need about five, and five that drag hard on each other up to a hundred
 UNREAD_SWEEPS = 12  # always, where the values cannot be read: in a trace, and on a device
@@ -76,7 +77,7 @@ class Rubbed(NamedTuple):
 
 
 def slide_and_rest(
-    speed: Tensor, free: Tensor, slide: Tensor, stick: Tensor, h: float
+    speed: Tensor, free: Tensor, slide: Tensor, stick: Tensor, h: StepLength
 ) -> tuple[Tensor, Tensor]:
     """Speed after a step, and way over it, of one joint under a constant acceleration and dry friction.
 
@@ -85,7 +86,7 @@ def slide_and_rest(
         free: Acceleration without dry friction, per second squared.
         slide: Deceleration by dry friction until the joint rests, not negative.
         stick: Largest acceleration at which dry friction holds the joint, not negative.
-        h: Step [s].
+        h: StepLength [s].
     """
     pace, sign = speed.abs(), torch.sign(speed)
     brake = slide - sign * free
@@ -100,7 +101,7 @@ def slide_and_rest(
     return after, 0.5 * (speed + first) * until + 0.5 * leaves * rest**2
 
 
-def slide_or_stop(speed: Tensor, free: Tensor, slide: Tensor, h: float) -> tuple[Tensor, Tensor]:
+def slide_or_stop(speed: Tensor, free: Tensor, slide: Tensor, h: StepLength) -> tuple[Tensor, Tensor]:
     """Speed after a semi-implicit step, and way over it, of one joint with friction as an impulse.
 
     Engines of rigid bodies solve it as a motor with the target 0 whose impulse is at most h F: it takes what is left of
@@ -110,7 +111,7 @@ def slide_or_stop(speed: Tensor, free: Tensor, slide: Tensor, h: float) -> tuple
         speed: At the start of the step, per second.
         free: Acceleration without dry friction, per second squared.
         slide: Deceleration by dry friction, not negative.
-        h: Step [s].
+        h: StepLength [s].
 
     Source: Catto, Iterative dynamics with temporal coherence (2005): joint friction as a bounded constraint impulse.
     """
@@ -126,7 +127,7 @@ def rubbed(
     slide: Levels,
     stick: Levels,
     inverse: tuple[Values, ...],
-    h: float,
+    h: StepLength,
     creeps: Creeps = None,
     ahead: Values | None = None,
     whole: bool = False,
@@ -140,7 +141,7 @@ def rubbed(
         slide: J levels of dry friction of joints that move.
         stick: J levels of dry friction of joints at rest.
         inverse: J rows of the inverse inertia.
-        h: Step [s].
+        h: StepLength [s].
         creeps, ahead: As of :class:`DryFriction`.
         whole: Whether friction is an impulse of the whole step, as engines have it: see :func:`slide_or_stop`.
     """
@@ -197,7 +198,7 @@ def _rubbed_before(
     slide: Levels,
     stick: Levels,
     inverse: tuple[Values, ...],
-    h: float,
+    h: StepLength,
     creeps: Creeps,
     ahead: Values,
 ) -> Rubbed:
@@ -208,7 +209,7 @@ def _rubbed_before(
 
 
 def without_ahead(
-    before: Values, after: Values, inverse: tuple[Values, ...], h: float, ahead: Values
+    before: Values, after: Values, inverse: tuple[Values, ...], h: StepLength, ahead: Values
 ) -> tuple[tuple[Values, ...], Values]:
     """Inverse inertia and speeds after a step without the armatures that an engine adds to its steps alone.
 
@@ -219,7 +220,7 @@ def without_ahead(
         before: J speeds at the start of the step.
         after: J speeds after the step, with these armatures.
         inverse: J rows of the inverse inertia, with these armatures.
-        h: Step [s].
+        h: StepLength [s].
         ahead: J armatures [kg m2 or kg].
     """
     joints = range(len(before))
@@ -234,7 +235,7 @@ def without_ahead(
 
 
 def with_ahead(
-    before: Values, after: Values, applied: Levels, found: Rubbed, inverse: tuple[Values, ...], h: float
+    before: Values, after: Values, applied: Levels, found: Rubbed, inverse: tuple[Values, ...], h: StepLength
 ) -> Rubbed:
     """Return the motion of a step with armatures of an engine, for friction loads that were found without them.
 
@@ -265,7 +266,7 @@ def _rubbed_in_a_loop(
     slide: Levels,
     stick: Levels,
     inverse: tuple[Values, ...],
-    h: float,
+    h: StepLength,
     creeps: Creeps,
     whole: bool,
 ) -> Rubbed:
@@ -291,10 +292,11 @@ def _rubbed_in_a_loop(
     np.maximum(resting, 0.0, out=resting)
     masses = rows([w for row in inverse for w in row]).reshape(joints, joints, -1)
     speed, moved, hold = np.empty_like(start), np.empty_like(start), np.empty_like(load)
+    steps = rows([h])[0] if isinstance(h, Tensor) else np.full(start.shape[1], h)
     sweeps = 1 if len(rubbing) == 1 else SWEEPS
     soft = creep_table(creeps, rubbing, shape).reshape(len(rubbing), 2, -1)
     rub(
-        start, ends, load, moving, resting, masses, np.array(rubbing, np.int64), soft, h, whole,
+        start, ends, load, moving, resting, masses, np.array(rubbing, np.int64), soft, steps, whole,
         sweeps, CLOSE, speed, moved, hold,
     )  # fmt: skip
     loads: list[Tensor | None] = [None] * joints

@@ -210,7 +210,7 @@ def rub(
     inverse,  # (J, J, N) inverse inertia
     rubbing,  # (R,) indices of the rubbing joints
     creeps,  # (R, 2, N) inertia and rate of their creep; an inertia of 0 where friction holds
-    step,  # [s]
+    step,  # (N,) [s]
     whole,  # whether friction is an impulse of the whole step
     sweeps,  # largest number
     close,  # change of an acceleration, as a share of it, at which the sweeps end
@@ -226,7 +226,7 @@ def rub(
         is_rubbing[rubbing[r]] = True
     for n in range(count):
         for k in range(joints):
-            mean[k] = (after[k, n] - before[k, n]) / step
+            mean[k] = (after[k, n] - before[k, n]) / step[n]
         rub_element(
             before,
             load,
@@ -236,7 +236,7 @@ def rub(
             rubbing,
             creeps,
             mean,
-            step,
+            step[n],
             whole,
             sweeps,
             close,
@@ -247,5 +247,5 @@ def rub(
         )
         for k in range(joints):
             if not is_rubbing[k]:
-                speed[k, n] = before[k, n] + step * mean[k]
-                moved[k, n] = step * (speed[k, n] if whole else 0.5 * (before[k, n] + speed[k, n]))
+                speed[k, n] = before[k, n] + step[n] * mean[k]
+                moved[k, n] = step[n] * (speed[k, n] if whole else 0.5 * (before[k, n] + speed[k, n]))

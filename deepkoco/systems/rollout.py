@@ -48,10 +48,12 @@ class RolloutInput(NamedTuple):
         step: Length of a step [s].
         start: Per state (W, L).
         time: (W, 1) log time at the start [s].
-        begin: Per command (n, W, L), effort at the start of each step.
-        slope: Per command (n, W, L), its change per second.
+        begin: Per command (n P, W, L), effort at the start of each of the P pieces of each step.
+        slope: Per command (n P, W, L), its change per second.
         loads: (J, n, W, L) outside loads [N m or N]; None for none.
         friction: Dry friction of the joints.
+        length: (n P, W, L) lengths of the pieces [s], 0 for a piece that there is not; None where steps are in one.
+        pieces: Number P.
     """
 
     step: float
@@ -61,6 +63,8 @@ class RolloutInput(NamedTuple):
     slope: Sequence[Tensor]
     loads: Tensor | None
     friction: DryFriction
+    length: Tensor | None = None
+    pieces: int = 1
 
 
 class RolloutResult(NamedTuple):

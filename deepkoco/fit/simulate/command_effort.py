@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -11,6 +12,7 @@ from torch import Tensor
 from deepkoco.fit.data.per_log_differences import of_log
 from deepkoco.fit.data.windows import CommandSeries, Windows
 from deepkoco.fit.simulate.held_efforts import HeldEfforts
+from deepkoco.fit.simulate.pieces import pieces_at_jumps
 from deepkoco.systems import System
 from deepkoco.systems.motion import CommandTiming
 
@@ -19,12 +21,28 @@ class TooManyLagsError(ValueError):
     """A command has more than two first-order lags in series."""
 
 
+class Efforts(NamedTuple):
+    """Efforts of all commands over the pieces of every integration step of every window.
+
+    Attributes:
+        begin: Per command (n P, W, L), effort at the start of each of the P pieces of each step, in the command's unit.
+        slope: Per command (n P, W, L), its change per second.
+        length: (n P, W, L) lengths of the pieces [s], 0 for a piece that there is not; None where steps are in one.
+        pieces: Number P.
+    """
+
+    begin: tuple[Tensor, ...]
+    slope: tuple[Tensor, ...]
+    length: Tensor | None = None
+    pieces: int = 1
+
+
 def step_efforts(
     system: System, windows: Windows, parameters: Mapping[str, Tensor], lanes: int
 ) -> tuple[Tensor, Tensor]:
-    """As :func:`command_efforts` for a system with one command, but in the order (L, W, n)."""
-    start, slope = command_efforts(system, windows, parameters, lanes, 0)
-    return start.permute(2, 1, 0), slope.permute(2, 1, 0)
+    """Start values and slopes of :func:`command_efforts` for a system with one command, in the order (L, W, n)."""
+    found = command_efforts(system, windows, parameters, lanes)
+    return found.begin[0].permute(2, 1, 0), found.slope[0].permute(2, 1, 0)
 
 
 def command_efforts(
@@ -32,36 +50,82 @@ def command_efforts(
     windows: Windows,
     parameters: Mapping[str, Tensor],
     lanes: int,
-    index: int,
     differ: Mapping[str, Tensor] | None = None,
-) -> tuple[Tensor, Tensor]:
-    """Compute start value a and slope b of one command's effort over every integration step of every window.
+    at_jumps: bool = False,
+) -> Efforts:
+    """Compute start value a and slope b of every command's effort over every integration step of every window.
 
     The logged command passes the effects of the actuator, then its lags, then the delays. A delayed command can jump
     inside a step. The line a + b s over the step has the same integral and double integral as the true effort. Speed
-    and angle after the step then have the order of the integrator, and they depend smoothly on the delay. A sensing
-    delay is added to the delay of the command; the window's state is then the state that the sensor shows. If the
-    clock of the measurements is faster than that of the commands, the delay grows with the time since the log's
-    first command. Within a window it is constant.
+    and angle after the step then have the order of the integrator, and they depend smoothly on the delay. A joint that
+    dry friction holds is no such motion: before the jump it stays, and it leaves with what comes after. For it, steps
+    are cut at the jumps. A sensing delay is added to the delay of the command; the window's state is then the state
+    that the sensor shows. If the clock of the measurements is faster than that of the commands, the delay grows with
+    the time since the log's first command. Within a window it is constant.
 
     Args:
         system: Gives ``shape_command`` and ``command_timing``.
         windows: W windows of n steps.
         parameters: Named values, each (L,) or scalar.
         lanes: Number L of lanes.
-        index: Index of the command.
         differ: Parameter -> (K, 1) or (K, L) differences in each of K logs.
-
-    Returns:
-        a (n, W, L) in the command's unit and b (n, W, L) per second.
+        at_jumps: Whether steps are cut where commands jump, see :func:`.pieces_at_jumps`.
 
     Raises:
         TooManyLagsError: More than two lags in series have a time constant above 0.
     """
-    parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
+    sent = [_sent(system, windows, parameters, lanes, k, differ) for k in range(len(system.commands))]
+    cuts = [_cut(windows, together) for together in zip(*sent, strict=True)] if at_jumps else []
+    pieces = max((cut.pieces for cut in cuts), default=1)
+    lines = []
+    for commands in sent:
+        parts: list[list[tuple[np.ndarray, np.ndarray, np.ndarray]]] = [[], []]
+        for number, one in enumerate(commands):
+            cut = cuts[number] if pieces > 1 else None
+            group, a, b = _lines_of(windows, one, cut, pieces)
+            parts[0].append((one.own, group, a))
+            parts[1].append((one.own, group, b))
+        lines.append([_in_lanes(part, len(windows), windows.steps * pieces, lanes) for part in parts])
+    begin, slope = (tuple(own[k] for own in lines) for k in range(2))
+    if pieces == 1:
+        return Efforts(begin, slope)
+    lengths = [(one.own, cut.group, cut.lengths(pieces)) for one, cut in zip(sent[0], cuts, strict=True)]
+    return Efforts(begin, slope, _in_lanes(lengths, len(windows), windows.steps * pieces, lanes), pieces)
+
+
+class _Sent(NamedTuple):
+    """One command of logs with the same stamps, in one lane for all or in each of L.
+
+    Attributes:
+        own: (w,) windows of these logs.
+        series: Efforts at the stamps, of each log and of lanes that differ.
+        row: (L, w) row of the series for each lane and window.
+        late: (L, w) delay [s].
+        lagged: (L,) whether the effort follows its command through a lag.
+        key: (L, 3) what makes lanes differ: row, delay and skew.
+    """
+
+    own: np.ndarray
+    series: HeldEfforts
+    row: np.ndarray
+    late: np.ndarray
+    lagged: np.ndarray
+    key: np.ndarray
+
+
+def _sent(
+    system: System,
+    windows: Windows,
+    parameters: Mapping[str, Tensor],
+    lanes: int,
+    index: int,
+    differ: Mapping[str, Tensor] | None,
+) -> list[_Sent]:
+    """Return one command of all logs that have windows."""
     if len(windows.commands) > 1 and not differ and all(x.numel() == 1 for x in parameters.values()):
-        parts = _of_one_lane(system, windows, parameters, index)
-    for number, command in enumerate(windows.commands if not parts else ()):
+        return _sent_in_one_lane(system, windows, parameters, index)
+    found = []
+    for number, command in enumerate(windows.commands):
         own = np.flatnonzero(windows.log == number)
         if len(own) == 0:
             continue
@@ -76,35 +140,19 @@ def command_efforts(
         computed = 1 if alike else lanes
         delay, skew, lags = _times(system, index, timing, computed)
         shaped = shaped.expand(len(given), computed).numpy().T  # (L, n)
-        edges = windows.t0[own]
         distinct, member = np.zeros(1, dtype=int), np.zeros(computed, dtype=int)
         if computed > 1:
-            # Lanes with the same efforts share one series. Those with the same series and delay share one result.
-            key = np.column_stack([shaped[:, _probe(command, index)], *lags])
-            distinct, member = _distinct(key)
+            # Lanes with the same efforts share one series.
+            distinct, member = _distinct(np.column_stack([shaped[:, _probe(command, index)], *lags]))
         series = HeldEfforts(command, shaped[distinct], [lag[distinct] for lag in lags])
-        distinct, group = np.zeros(1, dtype=int), member
-        if computed > 1:
-            distinct, group = _distinct(np.column_stack([member, delay, skew]))
-        a, b = series.steps(
-            member[distinct],
-            delay[distinct, None] + skew[distinct, None] * (edges + 0.5 * windows.length - command.t[0]),
-            edges,
-            windows.step,
-            windows.steps,
-        )
-        parts.append((own, group, a, b))
-    start, slope = (
-        _in_lanes([(own, group, each[k]) for own, group, *each in parts], len(windows), windows.steps, lanes)
-        for k in range(2)
-    )
-    return start, slope
+        found.append(_one_sent(windows, own, series, member[:, None], delay, skew, lags))
+    return found
 
 
-def _of_one_lane(
+def _sent_in_one_lane(
     system: System, windows: Windows, parameters: Mapping[str, Tensor], index: int
-) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-    """Return windows, lanes and lines of each log, where all logs have the same parameters and there is one lane.
+) -> list[_Sent]:
+    """As :func:`_sent`, where all logs have the same parameters and there is one lane.
 
     Logs that share their stamps pass the actuator together: a search for lost commands makes a hundred of one log, and
     so does one for noise of the commands.
@@ -114,30 +162,93 @@ def _of_one_lane(
     alike: dict[int, list[int]] = {}
     for number in np.unique(windows.log).tolist():
         alike.setdefault(id(windows.commands[number].t), []).append(number)
-    parts, one = [], np.zeros(1, dtype=int)
-    of_logs = np.argsort(windows.log, kind="stable")
-    starts = np.searchsorted(windows.log[of_logs], np.arange(len(windows.commands) + 1))
+    found = []
     for numbers in alike.values():
         command = windows.commands[numbers[0]]
         given = torch.from_numpy(np.stack([windows.commands[n].column(index) for n in numbers], axis=1))
         shaped = system.shape_command(index, given, torch.from_numpy(command.t), parameters)
         effort = np.ascontiguousarray(shaped.expand(len(given), len(numbers)).numpy().T)
         series = HeldEfforts(command, effort, [lag.repeat(len(numbers)) for lag in lags])
-        together: dict[bytes, list[tuple[int, np.ndarray]]] = {}
-        for row, number in enumerate(numbers):
-            own = of_logs[starts[number] : starts[number + 1]]
-            together.setdefault(windows.t0[own].tobytes(), []).append((row, own))
-        for same in together.values():
-            rows, edges = np.array([row for row, _ in same]), windows.t0[same[0][1]]
-            late = delay[:, None] + skew[:, None] * (edges + 0.5 * windows.length - command.t[0])
-            late = np.repeat(late, len(rows), axis=0)
-            # (n, w, R) of R logs with windows at the same times: to the windows of all of them
-            a, b = (
-                each.transpose(0, 2, 1).reshape(windows.steps, -1, 1)
-                for each in series.steps(rows, late, edges, windows.step, windows.steps)
-            )
-            parts.append((np.concatenate([own for _, own in same]), one, a, b))
-    return parts
+        own = np.flatnonzero(np.isin(windows.log, numbers))
+        row = np.searchsorted(numbers, windows.log[own])[None]
+        found.append(_one_sent(windows, own, series, row, delay, skew, lags))
+    return found
+
+
+def _one_sent(
+    windows: Windows,
+    own: np.ndarray,
+    series: HeldEfforts,
+    row: np.ndarray,
+    delay: np.ndarray,
+    skew: np.ndarray,
+    lags: Sequence[np.ndarray],
+) -> _Sent:
+    middle = windows.t0[own] + 0.5 * windows.length - series.t[0]
+    late = delay[:, None] + skew[:, None] * middle
+    lagged = np.any([lag > 0.0 for lag in lags], axis=0) if lags else np.zeros(len(delay), dtype=bool)
+    row = np.broadcast_to(row, late.shape)
+    return _Sent(own, series, row, late, lagged, np.column_stack([row[:, 0], delay, skew]))
+
+
+class _Cut(NamedTuple):
+    """Pieces of the steps of some windows.
+
+    Attributes:
+        length: (n, P, w, G) lengths [s] in each of G groups of lanes.
+        group: (L,) group of each lane; (1,) where all lanes are one.
+    """
+
+    length: np.ndarray
+    group: np.ndarray
+
+    @property
+    def pieces(self) -> int:
+        """Number P."""
+        return self.length.shape[1]
+
+    def lengths(self, pieces: int) -> np.ndarray:
+        """(n P, w, G) lengths with more pieces, which there are not."""
+        more = np.zeros((len(self.length), pieces - self.pieces, *self.length.shape[2:]))
+        whole = np.concatenate([self.length, more], axis=1)
+        return whole.reshape(-1, *whole.shape[2:])
+
+
+def _cut(windows: Windows, commands: Sequence[_Sent]) -> _Cut:
+    """Cut the steps of some windows where any of their commands jumps."""
+    one, count = commands[0], max(len(each.key) for each in commands)
+    keys = [np.column_stack([each.key[:, 1:], each.lagged]) for each in commands]
+    keys = np.concatenate([np.broadcast_to(key, (count, 3)) for key in keys], axis=1)
+    distinct, group = _distinct(keys) if count > 1 else (np.zeros(1, dtype=int), np.zeros(1, dtype=int))
+    late = np.stack([np.broadcast_to(each.late, (count, len(one.own)))[distinct] for each in commands])
+    for k, each in enumerate(commands):
+        late[k, np.broadcast_to(each.lagged, count)[distinct]] = np.nan
+    jumps = np.stack([(np.diff(each.series.effort, axis=1) != 0.0).any(axis=0) for each in commands])
+    length = pieces_at_jumps(one.series.t, jumps, late, windows.t0[one.own], windows.step, windows.steps)
+    return _Cut(length, group)
+
+
+def _lines_of(
+    windows: Windows, one: _Sent, cut: _Cut | None, pieces: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return group (L,) of each lane, and start values and slopes (n P, w, R) of these groups."""
+    count = len(one.key) if cut is None else max(len(one.key), len(cut.group))
+    key, t0 = np.broadcast_to(one.key, (count, 3)), windows.t0[one.own]
+    if cut is not None:
+        key = np.column_stack([key, np.broadcast_to(cut.group, count)])
+    distinct, group = np.zeros(1, dtype=int), np.zeros(count, dtype=int)
+    if count > 1:
+        distinct, group = _distinct(key)
+    row, late = (np.broadcast_to(x, (count, len(t0)))[distinct] for x in (one.row, one.late))
+    if cut is None:
+        return group, *one.series.steps(row, late, t0, windows.step, windows.steps)
+    length = cut.lengths(pieces)
+    begin = np.repeat(windows.step * np.arange(windows.steps), pieces)[:, None, None]
+    parts = length.reshape(-1, pieces, *length.shape[1:])
+    edges = begin + (np.cumsum(parts, axis=1) - parts).reshape(length.shape)
+    edges = np.concatenate([edges, np.full((1, *edges.shape[1:]), windows.length)])
+    which = np.broadcast_to(cut.group, count)[distinct]
+    return group, *one.series.between(row, late, t0, edges, which)
 
 
 def _in_lanes(

@@ -50,7 +50,7 @@ class HeldEfforts:
     def steps(
         self, row: np.ndarray, delay: np.ndarray, t0: np.ndarray, step: float, steps: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Start values a and slopes b (n, W, R) of the efforts in these rows, each with a delay (R, W) [s].
+        """Start values a and slopes b (n, W, R) of the efforts in rows (R,) or (R, W), each with a delay (R, W) [s].
 
         The line a + b s over each step has the same integral and double integral as the effort. The first command is
         assumed to hold at all times before the log.
@@ -59,9 +59,33 @@ class HeldEfforts:
         b = np.empty_like(a)
         _lines(
             self.t, self.effort, self.once, self.twice, self.first, self.second, self.short, self.long,
-            np.array(row, np.int64), np.array(delay, dtype=float), np.array(t0, dtype=float), step, a, b,
+            _of_each(row, len(t0)), np.array(delay, dtype=float), np.array(t0, dtype=float), step, a, b,
         )  # fmt: skip
         return a, b
+
+    def between(
+        self, row: np.ndarray, delay: np.ndarray, t0: np.ndarray, edges: np.ndarray, group: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """As :meth:`steps`, over pieces of steps: (m, W, R).
+
+        Args:
+            row, delay, t0: As there.
+            edges: (m + 1, W, G) starts and ends of the pieces after t0 [s].
+            group: (R,) index among the G of each effort.
+        """
+        a = np.empty((len(edges) - 1, len(t0), len(row)))
+        b = np.empty_like(a)
+        _lines_between(
+            self.t, self.effort, self.first, self.second, self.short, self.long, _of_each(row, len(t0)),
+            np.array(delay, dtype=float), np.array(t0, dtype=float), np.ascontiguousarray(edges),
+            np.array(group, np.int64), a, b,
+        )  # fmt: skip
+        return a, b
+
+
+def _of_each(row: np.ndarray, windows: int) -> np.ndarray:
+    """(R, W) rows, of (R,) or (R, W)."""
+    return np.array(np.broadcast_to(row if row.ndim == 2 else row[:, None], (len(row), windows)), np.int64)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -100,9 +124,9 @@ def _lines(t, effort, once, twice, first, second, short, long, row, delay, t0, s
     steps, last = a.shape[0], len(t) - 1
     cube = step**3
     for r in range(len(row)):
-        u = row[r]
-        quick, slow, start = short[u], long[u], effort[u, 0]
         for w in range(len(t0)):
+            u = row[r, w]
+            quick, slow, start = short[u], long[u], effort[u, 0]
             piece, before, twice_before = 0, 0.0, 0.0
             for k in range(steps + 1):
                 at = (t0[w] + step * k) - delay[r, w]
@@ -132,3 +156,66 @@ def _lines(t, effort, once, twice, first, second, short, long, row, delay, t0, s
                     b[k - 1, w, r] = slope
                     a[k - 1, w, r] = whole / step - 0.5 * step * slope
                 before, twice_before = so_far, twice_so_far
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _outputs(now, first, second, quick, slow, since):
+    """Outputs of the shorter lag and of both, some time after a stamp; the command is held at ``now``."""
+    since = max(since, 0.0)
+    one = two = 0.0
+    if slow > 0.0:
+        two = second * math.exp(-since / slow)
+        if quick > 0.0:
+            one = first * math.exp(-since / quick)
+            apart = since * (1.0 / quick - 1.0 / slow)
+            ratio = -math.expm1(-apart) / apart if apart > 1e-12 else 1.0
+            two += first * (math.exp(-since / slow) * since / slow * ratio)
+    return now + one, now + two
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _lines_between(t, effort, first, second, short, long, row, delay, t0, edges, group, a, b):
+    """Write the lines of :meth:`HeldEfforts.between`.
+
+    Integrals are summed from the start of each piece: a piece may be so short that the difference of two integrals
+    from the start of the log would be rounding alone.
+    """
+    count, last = a.shape[0], len(t) - 1
+    lagged = len(first) > 0
+    for r in range(len(row)):
+        g = group[r]
+        for w in range(len(t0)):
+            u = row[r, w]
+            quick, slow = short[u], long[u]
+            late = t0[w] - delay[r, w]
+            piece = max(np.searchsorted(t, edges[0, w, g] + late, side="right") - 1, 0)
+            for k in range(count):
+                at, end = edges[k, w, g] + late, edges[k + 1, w, g] + late
+                while piece < last and t[piece + 1] <= at:
+                    piece += 1
+                begin, whole, double, length = at, 0.0, 0.0, end - at
+                while True:
+                    stop = end if piece == last else min(t[piece + 1], end)
+                    now, part = effort[u, piece], stop - begin
+                    once, twice = now * part, 0.5 * now * part * part
+                    if slow > 0.0 and lagged:
+                        one, two = first[u, piece], second[u, piece]
+                        q0, y0 = _outputs(now, one, two, quick, slow, begin - t[piece])
+                        q1, y1 = _outputs(now, one, two, quick, slow, stop - t[piece])
+                        # For T y' + y = u, the integral of y is that of u minus T (y - y_0).
+                        if quick > 0.0:
+                            once -= quick * (q1 - q0)
+                            twice -= quick * (once - q0 * part)
+                        once -= slow * (y1 - y0)
+                        twice -= slow * (once - y0 * part)
+                    double += whole * part + twice
+                    whole += once
+                    if piece == last or stop >= end:
+                        break
+                    begin = stop
+                    piece += 1
+                if length > 0.0:
+                    slope = 12.0 * (0.5 * length * whole - double) / length**3
+                    b[k, w, r], a[k, w, r] = slope, whole / length - 0.5 * length * slope
+                else:
+                    b[k, w, r], a[k, w, r] = 0.0, effort[u, piece]

@@ -73,24 +73,28 @@ def integrate(
     h, joints, count = windows.step, system.joints, initial.shape[0]
     apart = amounts(windows.known, differ)
     own = of_windows(parameters, apart, windows.log)
-    start, slope = zip(
-        *(command_efforts(system, windows, parameters, count, k, apart) for k in range(len(system.commands))),
-        strict=True,
-    )
+    friction = friction_of(system, own, lanes)
+    at_jumps = bool(friction.joints) and not windows.own_steps
+    efforts = command_efforts(system, windows, parameters, count, apart, at_jumps)
     pushes = None if push is None else push.permute(3, 0, 2, 1).contiguous()  # (n, J, W, L)
     parts = initial.permute(2, 1, 0).contiguous().unbind(0)
     t0 = torch.from_numpy(windows.t0)[:, None]
     compiled = system.rollout(own)
     if compiled is not None:
         loads = None if push is None else push.permute(0, 3, 2, 1)
-        given = RolloutInput(h, parts, t0, start, slope, loads, friction_of(system, own, lanes))
+        given = RolloutInput(
+            h, parts, t0, efforts.begin, efforts.slope, loads, friction, efforts.length, efforts.pieces
+        )
         if (found := compiled.run(given)) is not None:
             fast = found.value[joints:]
             return Nodes(
                 found.value, (*(v[:-1] for v in fast), *found.first), (*(v[1:] for v in fast), *found.last)
             )
     way = None if windows.way is None else windows.way.permute(2, 1, 0)[..., None]
-    given = StepsInput(h, parts, t0, start, slope, pushes, bool(apart), way, windows.unseen)
+    given = StepsInput(
+        h, parts, t0, efforts.begin, efforts.slope, pushes, bool(apart), way, windows.unseen, efforts.length,
+        efforts.pieces,
+    )  # fmt: skip
     if (fast := along_windows(system, own, lanes, given)) is not None:
         return fast
     return in_torch(equations_of(system, own, lanes), given)

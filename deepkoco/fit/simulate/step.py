@@ -13,6 +13,7 @@ from deepkoco.systems.dry_friction import (
     DryFriction,
     Levels,
     Rubbed,
+    StepLength,
     Values,
     as_shares,
     rubbed,
@@ -83,7 +84,7 @@ def directions(speed: Values, rest: Levels, friction: DryFriction) -> Levels:
 
 
 def step_of(
-    equations: Equations, angle: Values, speed: Values, drive: Drive, direction: Levels, h: float
+    equations: Equations, angle: Values, speed: Values, drive: Drive, direction: Levels, h: StepLength
 ) -> Step:
     """One step of the classical Runge-Kutta method, under efforts that are linear in time, or a semi-implicit one.
 
@@ -193,7 +194,13 @@ class Contact(NamedTuple):
 
 
 def corrected(
-    equations: Equations, step: Step, angle: Values, speed: Values, drive: Drive, direction: Levels, h: float
+    equations: Equations,
+    step: Step,
+    angle: Values,
+    speed: Values,
+    drive: Drive,
+    direction: Levels,
+    h: StepLength,
 ) -> Step:
     """Let joints come to rest, stick and turn within a step: see :mod:`deepkoco.systems.dry_friction`.
 
@@ -216,7 +223,9 @@ def corrected(
     return bound if creeps is None else with_mean_ends(equations.friction, at.slide, speed, bound, h)
 
 
-def impelled(angle: Values, speed: Values, found: Rubbed, stick: Levels, direction: Levels, h: float) -> Step:
+def impelled(
+    angle: Values, speed: Values, found: Rubbed, stick: Levels, direction: Levels, h: StepLength
+) -> Step:
     """Return the semi-implicit step with the impulses of friction that are found.
 
     Args:
@@ -257,7 +266,7 @@ def step_again(
     direction: Levels,
     at: Contact,
     load: Levels,
-    h: float,
+    h: StepLength,
 ) -> tuple[Step, Levels, Levels]:
     """Return the step with the mean friction loads, its shares of the levels, and its constant friction loads.
 
@@ -275,7 +284,7 @@ def step_again(
 
 
 def bound_of(
-    angle: Values, speed: Values, again: Step, direction: Levels, stick: Levels, found: Rubbed, h: float
+    angle: Values, speed: Values, again: Step, direction: Levels, stick: Levels, found: Rubbed, h: StepLength
 ) -> Step:
     """Return the step after which joints rest, stick or have turned.
 
@@ -307,7 +316,7 @@ def bound_of(
     return Step(tuple(angles), found.speed, tuple(firsts), tuple(lasts), tuple(rest))
 
 
-def with_mean_ends(friction: DryFriction, slide: Levels, speed: Values, step: Step, h: float) -> Step:
+def with_mean_ends(friction: DryFriction, slide: Levels, speed: Values, step: Step, h: StepLength) -> Step:
     """Return the step with its mean acceleration at both ends for joints that creep: their friction changes within it.
 
     Args:
@@ -355,16 +364,18 @@ def rows_of(values: Values, rows: Tensor) -> Values:
     return tuple(v if v.ndim < 2 else v.index_select(0, rows) for v in values)
 
 
-def _moved(x: Values, rate: Values, h: float) -> Values:
+def _moved(x: Values, rate: Values, h: StepLength) -> Values:
+    if isinstance(h, Tensor):
+        return tuple(torch.addcmul(a, b, h) for a, b in zip(x, rate, strict=True))
     return tuple(torch.add(a, b, alpha=h) for a, b in zip(x, rate, strict=True))
 
 
-def _mean(x: Values, k1: Values, k2: Values, k3: Values, k4: Values, h: float) -> Values:
+def _mean(x: Values, k1: Values, k2: Values, k3: Values, k4: Values, h: StepLength) -> Values:
     """Runge-Kutta step with the weighted mean of four rates.
 
     Nothing is written in place: to trace that, torch loads an algebra system for more than half a second.
     """
-    return tuple(
-        torch.add(a, torch.add(r1, r2 + r3, alpha=2.0) + r4, alpha=h / 6.0)
-        for a, r1, r2, r3, r4 in zip(x, k1, k2, k3, k4, strict=True)
+    sums = tuple(
+        torch.add(r1, r2 + r3, alpha=2.0) + r4 for r1, r2, r3, r4 in zip(k1, k2, k3, k4, strict=True)
     )
+    return _moved(x, sums, h / 6.0)

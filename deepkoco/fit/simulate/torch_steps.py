@@ -12,7 +12,7 @@ from torch import Tensor
 from deepkoco.fit.simulate.equations import Equations
 from deepkoco.fit.simulate.nodes import Nodes
 from deepkoco.fit.simulate.step import Drive, Step, corrected, directions, replaced, rows_of, step_of, turning
-from deepkoco.systems.dry_friction import Levels
+from deepkoco.systems.dry_friction import Levels, StepLength, Values
 from deepkoco.systems.motion import Motion
 
 
@@ -23,12 +23,14 @@ class StepsInput(NamedTuple):
         step: Length of a step [s].
         start: Per state (W, L).
         time: (W, 1) log time at the start [s].
-        begin: Per command (n, W, L), effort at the start of each step.
-        slope: Per command (n, W, L), its change per second.
+        begin: Per command (n P, W, L), effort at the start of each of the P pieces of each step.
+        slope: Per command (n P, W, L), its change per second.
         loads: (n, J, W, L) outside loads [N m or N]; None for none.
         apart: Whether values of parameters differ from window to window.
         way: (P, J, W, 1) positions at the last turning points before the start, and there; None where none is known.
         unseen: Per joint, way up to which noise hides a motion.
+        length: (n P, W, L) lengths of the pieces [s], 0 for a piece that there is not; None where steps are in one.
+        pieces: Number P.
     """
 
     step: float
@@ -40,6 +42,8 @@ class StepsInput(NamedTuple):
     apart: bool = False
     way: Tensor | None = None
     unseen: Sequence[float] = ()
+    length: Tensor | None = None
+    pieces: int = 1
 
 
 def in_torch(equations: Equations, given: StepsInput) -> Nodes:
@@ -49,46 +53,108 @@ def in_torch(equations: Equations, given: StepsInput) -> Nodes:
         equations: Equations of motion.
         given: Start and drive.
     """
-    h, joints = given.step, len(given.start) // 2
-    windows, steps = len(given.start[0]), len(given.begin[0])
+    joints = len(given.start) // 2
+    steps = len(given.begin[0]) // given.pieces
     angle, speed = tuple(given.start[:joints]), tuple(given.start[joints:])
     angles, speeds = [angle], [speed]
     firsts, lasts = [], []
     rest: Levels = (None,) * joints
-    half = 0.5 * h
-    # Terms that do not depend on the motion are computed for all steps at once, because calls of torch are slow.
-    offsets = torch.tensor([i * h for i in range(steps)], dtype=torch.float64)[:, None, None]
-    at = [(given.time + offsets + later).unbind(0) for later in (0.0, half, h)]
-    moments = (half, half, half) if equations.impulsive else (0.0, half, h)
-    efforts = [_over_steps(given.begin, given.slope, later) for later in moments]
-    loads = [None] * steps if given.loads is None else [p.unbind(0) for p in given.loads.unbind(0)]
+    lengths, drives = _drives(equations, given)
     remembered = first_memory(equations, given)
     for i in range(steps):
-        begin, middle, end = (effort[i] for effort in efforts)
-        t1, t2, t4 = (t[i] for t in at)
-        drive = Drive((begin, middle, end), (t1, t2, t4), loads[i], remembered)
-        direction = directions(speed, rest, equations.friction)
-        step = step_of(equations, angle, speed, drive, direction, h)
-        rows = turning(equations, angle, speed, drive, step)
-        if len(rows) == windows or (len(rows) and given.apart):
-            # Parameters that differ from log to log have one value per window.
-            step = corrected(equations, step, angle, speed, drive, direction, h)
-        elif len(rows):
-            step = _corrected_in(rows, equations, step, angle, speed, drive, direction, h)
-        if remembered:
-            now = Motion(step.angle, step.speed, end, None, t4, equations.smoothing)
-            remembered = equations.memory.advanced(remembered, angle, now)
-        angle, speed = step.angle, step.speed
+        whole: Step | None = None
+        for piece in range(i * given.pieces, (i + 1) * given.pieces):
+            h, drive = lengths[piece], drives[piece]._replace(memory=remembered)
+            live = None if not isinstance(h, Tensor) else h > 0.0
+            if whole is not None and live is not None and not live.any():
+                continue
+            if live is not None:
+                h = torch.where(live, h, given.step)
+            step = _one_step(equations, angle, speed, rest, drive, h, given.apart)
+            after = remembered
+            if remembered:
+                now = Motion(
+                    step.angle, step.speed, drive.efforts[2], None, drive.times[2], equations.smoothing
+                )
+                after = equations.memory.advanced(remembered, angle, now)
+            if whole is not None and live is not None:
+                # Where there is no such piece, everything stays.
+                step = _where(live, step, whole)
+                after = tuple(torch.where(live, a, b) for a, b in zip(after, remembered, strict=True))
+            first = step.first if whole is None else whole.first
+            whole, remembered = step._replace(first=first), after
+            angle, speed, rest = step.angle, step.speed, step.rest
+        assert whole is not None
         angles.append(angle)
         speeds.append(speed)
-        firsts.append(step.first)
-        lasts.append(step.last)
-        rest = step.rest
+        firsts.append(whole.first)
+        lasts.append(whole.last)
     value = tuple(torch.stack([x[j] for x in path]) for path in (angles, speeds) for j in range(joints))
     first = tuple(torch.stack([x[j] for x in firsts]) for j in range(joints))
     last = tuple(torch.stack([x[j] for x in lasts]) for j in range(joints))
     fast = value[joints:]
     return Nodes(value, (*(v[:-1] for v in fast), *first), (*(v[1:] for v in fast), *last))
+
+
+def _drives(equations: Equations, given: StepsInput) -> tuple[list[StepLength], list[Drive]]:
+    """Lengths and drives of all pieces, which do not depend on the motion: at once, because calls of torch are slow."""
+    count = len(given.begin[0])
+    number = torch.arange(count) // given.pieces
+    since = (number.to(torch.float64) * given.step)[:, None, None]
+    lengths: list[StepLength] = [given.step] * count
+    h: StepLength = given.step
+    if given.length is not None:
+        h = given.length
+        lengths = list(h.unbind(0))
+        parts = h.unflatten(0, (-1, given.pieces))
+        since = since + (parts.cumsum(1) - parts).flatten(0, 1)
+    half = 0.5 * h
+    at = [(given.time + since + later).unbind(0) for later in (0.0, half, h)]
+    moments = (half, half, half) if equations.impulsive else (0.0, half, h)
+    begin, middle, end = (_over_steps(given.begin, given.slope, later) for later in moments)
+    loads: list[Levels | None] = [None] * count
+    if given.loads is not None:
+        each = [p.unbind(0) for p in given.loads.unbind(0)]
+        loads = [each[k] for k in number.tolist()]
+    rows = zip(begin, middle, end, *at, loads, strict=True)
+    return lengths, [Drive((a, b, c), (t1, t2, t4), load) for a, b, c, t1, t2, t4, load in rows]
+
+
+def _one_step(
+    equations: Equations,
+    angle: Values,
+    speed: Values,
+    rest: Levels,
+    drive: Drive,
+    h: StepLength,
+    apart: bool,
+) -> Step:
+    """Return one step, with joints that turn, come to rest or leave within it."""
+    direction = directions(speed, rest, equations.friction)
+    step = step_of(equations, angle, speed, drive, direction, h)
+    rows = turning(equations, angle, speed, drive, step)
+    if len(rows) == len(angle[0]) or (len(rows) and apart):
+        # Parameters that differ from log to log have one value per window.
+        return corrected(equations, step, angle, speed, drive, direction, h)
+    if len(rows):
+        return _corrected_in(rows, equations, step, angle, speed, drive, direction, h)
+    return step
+
+
+def _where(live: Tensor, step: Step, before: Step) -> Step:
+    """Return a step where it counts, else the one before."""
+    parts = [
+        tuple(torch.where(live, a, b) for a, b in zip(new, old, strict=True))
+        for new, old in zip(step[:4], before[:4], strict=True)
+    ]
+    nothing = torch.zeros((), dtype=torch.float64)
+    rest = tuple(
+        None
+        if a is None and b is None
+        else torch.where(live, nothing if a is None else a, nothing if b is None else b)
+        for a, b in zip(step.rest, before.rest, strict=True)
+    )
+    return Step(parts[0], parts[1], parts[2], parts[3], rest)
 
 
 def first_memory(equations: Equations, given: StepsInput) -> tuple[Tensor, ...]:
@@ -132,17 +198,25 @@ def _corrected_in(
     speed: tuple[Tensor, ...],
     drive: Drive,
     direction: Levels,
-    h: float,
+    h: StepLength,
 ) -> Step:
     """As :func:`corrected`, in some windows only."""
     first, last = rows_of(step.first, rows), rows_of(step.last, rows)
     own = Step(rows_of(step.angle, rows), rows_of(step.speed, rows), first, last, step.rest)
     share = tuple(None if x is None else x.index_select(0, rows) for x in direction)
+    h = h.index_select(0, rows) if isinstance(h, Tensor) else h
     part = corrected(equations, own, rows_of(angle, rows), rows_of(speed, rows), drive.rows(rows), share, h)
     return replaced(step, rows, part)
 
 
-def _over_steps(start: Sequence[Tensor], slope: Sequence[Tensor], later: float) -> list[tuple[Tensor, ...]]:
-    """Efforts of every command (W, L) at a time after the start of each of the n steps."""
-    values = [a if later == 0.0 else torch.add(a, b, alpha=later) for a, b in zip(start, slope, strict=True)]
+def _over_steps(
+    start: Sequence[Tensor], slope: Sequence[Tensor], later: StepLength
+) -> list[tuple[Tensor, ...]]:
+    """Efforts of every command (W, L) at a time after the start of each of the pieces of steps."""
+    if isinstance(later, Tensor):
+        values = [torch.addcmul(a, b, later) for a, b in zip(start, slope, strict=True)]
+    else:
+        values = [
+            a if later == 0.0 else torch.add(a, b, alpha=later) for a, b in zip(start, slope, strict=True)
+        ]
     return list(zip(*(v.unbind(0) for v in values), strict=True))

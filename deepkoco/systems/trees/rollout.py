@@ -82,7 +82,9 @@ class TreeRollout:
         if not is_plain(tensors):
             return None
         law, joints = self._law, len(given.start) // 2
-        steps, windows, lanes = given.begin[0].shape if given.begin else (0, 0, 0)
+        drives = [*given.begin, *given.slope, *([] if given.length is None else [given.length])]
+        total, windows, lanes = given.begin[0].shape if given.begin else (0, 0, 0)
+        steps = total // given.pieces
         listed = [v for load in self._loads for v in load.values]
         levels = given.friction.steady
         pulls = force_parts(self._forces)
@@ -107,13 +109,16 @@ class TreeRollout:
         group = np.array(np.broadcast_to(np.arange(groups).reshape(numbers), shape)).ravel()
         start = np.stack([x.expand(shape).numpy() for x in given.start]).reshape(2 * joints, count)
         # Where all lanes of a window have the same efforts, these are read from one of them.
-        shared = lanes > 1 and all(x.stride(-1) == 0 for x in (*given.begin, *given.slope))
+        shared = lanes > 1 and all(x.stride(-1) == 0 for x in drives)
         sent = np.arange(windows).repeat(lanes) if shared else np.arange(count)
         width = 1 if shared else lanes
         begin, slope = (
-            _stacked([x[..., :width] for x in each], (steps, windows, width))
+            _stacked([x[..., :width] for x in each], (total, windows, width))
             for each in (given.begin, given.slope)
         )
+        length = np.empty((0, windows * width))
+        if given.length is not None:
+            length = _stacked([given.length[..., :width]], (total, windows, width))[0]
         loads = np.empty((0, steps, count))
         if given.loads is not None:
             # One load may act in all lanes.
@@ -138,7 +143,7 @@ class TreeRollout:
             values.reshape(len(self._loads), MOST_VALUES, groups),
             np.array([force.joint for force in self._forces], np.int64), force_table(pulls, numbers),
             np.array(given.friction.joints, np.int64), creeps,
-            steady.reshape(joints, groups), given.step, start, time, sent, begin, slope, loads,
+            steady.reshape(joints, groups), given.step, start, time, sent, begin, slope, length, loads,
             ahead.reshape(joints, groups), 1 if len(given.friction.joints) == 1 else SWEEPS, CLOSE,
             self._late, self._impulsive, value, left, right,
         )  # fmt: skip

@@ -21,7 +21,7 @@ from deepkoco.systems.trees.newton_euler_kernel import LOAD, ROWS, SPARE
 from deepkoco.systems.trees.step_kernel import mean_levels, runge_kutta
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "e6d9b52653818eba"
+COMPILED_WITH = "1acb62183ccc505d"
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -41,8 +41,9 @@ def tree_rollout(
     start,  # (2 J, N) angles, then speeds
     time,  # (N,) log time at the start [s]
     sent,  # (N,) column of each element's efforts
-    begin,  # (M, n, C) efforts at the start of each step
-    slope,  # (M, n, C) per second
+    begin,  # (M, n P, C) efforts at the start of each piece of each step
+    slope,  # (M, n P, C) per second
+    length,  # (n P, C) lengths of the pieces [s], 0 for a piece that there is not; (0, C) where steps are in one piece
     loads,  # (J, n, N) outside loads, or (0, n, N) for none
     ahead,  # (J, G) armatures that are in the steps, but not in the friction's equations
     sweeps,  # largest number, of dry friction
@@ -68,6 +69,8 @@ def tree_rollout(
     masses = np.empty((2, joints, joints, LANES))
     stages = np.empty((10, joints, LANES))
     which = np.arange(LANES)
+    pieces = max(len(length) // steps, 1) if steps else 1
+    h, since, live = np.full(LANES, step), np.zeros(LANES), np.ones(LANES, np.bool_)
     forces = np.empty((max(motors, 1), LANES))
     level = np.empty((joints, LANES))
     efforts, times = np.empty((3, max(motors, 1), LANES)), np.empty((3, LANES))
@@ -122,148 +125,201 @@ def tree_rollout(
             for i in range(size):
                 value[k, 0, at + i], value[joints + k, 0, at + i] = angle[k, i], speed[k, i]
         for n in range(steps):
-            for i in range(LANES):
-                e = at + min(i, size - 1)
-                times[0, i] = time[e] + n * step
-                times[1, i] = time[e] + (n * step + 0.5 * step)
-                times[2, i] = time[e] + (n * step + step)
-                c = sent[e]
-                for a in range(motors):
-                    efforts[0, a, i] = begin[a, n, c]
-                    efforts[1, a, i] = begin[a, n, c] + 0.5 * step * slope[a, n, c]
-                    efforts[2, a, i] = begin[a, n, c] + step * slope[a, n, c]
-                    if impulsive:
-                        efforts[0, a, i] = efforts[2, a, i] = efforts[1, a, i]
-                for k in range(joints):
-                    push[k, i] = loads[k, n, e] if len(loads) else 0.0
-            for r in range(len(rubbing)):
-                j = rubbing[r]
+            for piece in range(pieces):
+                some = piece == 0
                 for i in range(LANES):
-                    direction[j, i] = np.sign(speed[j, i]) + held[j, i]
-            runge_kutta(
-                tree, own, effects, rows, masses, which, forces, level, stages, angle, speed, efforts, times, push,
-                own_steady, direction, step, late, impulsive, q, v, first, last,
-            )  # fmt: skip
-            some = False
-            for i in range(LANES):
-                turned[i] = False
-            if len(rubbing) and own_creeps[0, 0, 0] > 0.0:
-                mean_levels(
-                    tree, own, effects, forces, own_steady, angle, speed, 1.0, efforts, scratch, end, slide
-                )
-            for r in range(len(rubbing)):
-                j = rubbing[r]
+                    since[i] = 0.0 if piece == 0 else since[i]
+                    if len(length):
+                        h[i] = length[n * pieces + piece, sent[at + min(i, size - 1)]]
+                        live[i] = h[i] > 0.0
+                        some |= live[i]
+                if not some:
+                    continue
                 for i in range(LANES):
-                    if speed[j, i] * v[j, i] <= 0.0:
-                        turned[i] = True
-                        some = True
-                if own_creeps[r, 0, 0] > 0.0:
-                    for i in range(LANES):
-                        if not slips(
-                            speed[j, i],
-                            v[j, i],
-                            first[j, i],
-                            last[j, i],
-                            slide[j, i],
-                            own_creeps[r, 0, i],
-                            own_creeps[r, 1, i],
-                        ):
-                            turned[i] = True
-                            some = True
-            for k in range(joints):
-                for i in range(LANES):
-                    held[k, i] = 0.0
-            if some:
-                # Inverse inertia at the start of the step, from the factors that are there already.
-                for j in range(joints):
+                    e = at + min(i, size - 1)
+                    now, c, p = n * step + since[i], sent[e], n * pieces + piece
+                    times[0, i] = time[e] + now
+                    times[1, i] = time[e] + (now + 0.5 * h[i])
+                    times[2, i] = time[e] + (now + h[i])
+                    for a in range(motors):
+                        efforts[0, a, i] = begin[a, p, c]
+                        efforts[1, a, i] = begin[a, p, c] + 0.5 * h[i] * slope[a, p, c]
+                        efforts[2, a, i] = begin[a, p, c] + h[i] * slope[a, p, c]
+                        if impulsive:
+                            efforts[0, a, i] = efforts[2, a, i] = efforts[1, a, i]
                     for k in range(joints):
-                        for i in range(LANES):
-                            s[k, LOAD, i] = 1.0 if j == k else 0.0
-                    solve(s, masses[0], parent)
-                    for k in range(joints):
-                        for i in range(LANES):
-                            inverse[k, j, i] = s[k, LOAD, i]
-                part = 1.0 if impulsive else 0.5  # an engine has the friction of the speed at the start
-                mean_levels(
-                    tree, own, effects, forces, own_steady, angle, speed, part, efforts, scratch, end, slide
-                )
-                mean_levels(
-                    tree, own, effects, forces, own_steady, angle, speed, 0.0, efforts, scratch, end, stick
-                )
+                        push[k, i] = loads[k, n, e] if len(loads) else 0.0
                 for r in range(len(rubbing)):
                     j = rubbing[r]
                     for i in range(LANES):
-                        moving[r, i], resting[r, i] = max(slide[j, i], 0.0), max(stick[j, i], 0.0)
-                        load[r, i] = -moving[r, i] * direction[j, i]
+                        direction[j, i] = np.sign(speed[j, i]) + held[j, i]
+                runge_kutta(
+                    tree, own, effects, rows, masses, which, forces, level, stages, angle, speed, efforts, times, push,
+                    own_steady, direction, h, late, impulsive, q, v, first, last,
+                )  # fmt: skip
+                some = False
                 for i in range(LANES):
-                    if turned[i]:
+                    turned[i] = False
+                if len(rubbing) and own_creeps[0, 0, 0] > 0.0:
+                    mean_levels(
+                        tree,
+                        own,
+                        effects,
+                        forces,
+                        own_steady,
+                        angle,
+                        speed,
+                        1.0,
+                        efforts,
+                        scratch,
+                        end,
+                        slide,
+                    )
+                for r in range(len(rubbing)):
+                    j = rubbing[r]
+                    for i in range(LANES):
+                        if live[i] and speed[j, i] * v[j, i] <= 0.0:
+                            turned[i] = True
+                            some = True
+                    if own_creeps[r, 0, 0] > 0.0:
+                        for i in range(LANES):
+                            if live[i] and not slips(
+                                speed[j, i],
+                                v[j, i],
+                                first[j, i],
+                                last[j, i],
+                                slide[j, i],
+                                own_creeps[r, 0, i],
+                                own_creeps[r, 1, i],
+                            ):
+                                turned[i] = True
+                                some = True
+                for k in range(joints):
+                    for i in range(LANES):
+                        held[k, i] = 0.0 if live[i] else held[k, i]
+                if some:
+                    # Inverse inertia at the start of the step, from the factors that are there already.
+                    for j in range(joints):
                         for k in range(joints):
-                            accelerated[k] = (v[k, i] - speed[k, i]) / step
-                        rub_in_step(
-                            some_ahead, speed, load, moving, resting, inverse, own_ahead, bare, spared, rubbing,
-                            own_creeps, accelerated, step, impulsive, sweeps, close, end, moved, hold, i,
-                        )  # fmt: skip
-                        if impulsive:
-                            for k in range(joints):
-                                v[k, i] = end[k, i] if is_rubbing[k] else speed[k, i] + step * accelerated[k]
-                                q[k, i] = angle[k, i] + step * v[k, i]
-                                first[k, i] = last[k, i] = (v[k, i] - speed[k, i]) / step
-                            for r in range(len(rubbing)):
-                                j = rubbing[r]
-                                if v[j, i] == 0.0 and stick[j, i] > 0.0:
-                                    held[j, i] = -hold[r, i] / stick[j, i]
-                            continue
-                        for r in range(len(rubbing)):
-                            j = rubbing[r]
-                            if slide[j, i] > 0.0:
-                                share = min(max(-load[r, i] / slide[j, i], -HUGE), HUGE)
-                                direction[j, i] = share / max(share * share, 1.0)
-                                if direction[j, i] != share:
-                                    push[j, i] += load[r, i] + slide[j, i] * direction[j, i]
-                            else:
-                                load[r, i] = 0.0
-                if not impulsive:
-                    runge_kutta(
-                        tree, own, effects, rows, masses, which, forces, level, stages, angle, speed, efforts, times,
-                        push, own_steady, direction, step, late, impulsive, q, v, first, last,
-                    )  # fmt: skip
-                for i in range(LANES):
-                    if impulsive or not turned[i]:
-                        continue
-                    for k in range(joints):
-                        accelerated[k] = (v[k, i] - speed[k, i]) / step
-                    rub_in_step(
-                        some_ahead, speed, load, moving, resting, inverse, own_ahead, bare, spared, rubbing,
-                        own_creeps, accelerated, step, impulsive, sweeps, close, end, moved, hold, i,
-                    )  # fmt: skip
-                    for k in range(joints):
-                        if not is_rubbing[k]:
-                            end[k, i] = speed[k, i] + step * accelerated[k]
-                            moved[k, i] = 0.5 * step * (speed[k, i] + end[k, i])
-                        # The part of the way that a constant acceleration does not explain stays.
-                        q[k, i] += moved[k, i] - 0.5 * step * (speed[k, i] + v[k, i])
-                        v[k, i] = end[k, i]
+                            for i in range(LANES):
+                                s[k, LOAD, i] = 1.0 if j == k else 0.0
+                        solve(s, masses[0], parent)
+                        for k in range(joints):
+                            for i in range(LANES):
+                                inverse[k, j, i] = s[k, LOAD, i]
+                    part = 1.0 if impulsive else 0.5  # an engine has the friction of the speed at the start
+                    mean_levels(
+                        tree,
+                        own,
+                        effects,
+                        forces,
+                        own_steady,
+                        angle,
+                        speed,
+                        part,
+                        efforts,
+                        scratch,
+                        end,
+                        slide,
+                    )
+                    mean_levels(
+                        tree,
+                        own,
+                        effects,
+                        forces,
+                        own_steady,
+                        angle,
+                        speed,
+                        0.0,
+                        efforts,
+                        scratch,
+                        end,
+                        stick,
+                    )
                     for r in range(len(rubbing)):
                         j = rubbing[r]
-                        stays = v[j, i] == 0.0
-                        if stays and speed[j, i] == 0.0:
-                            q[j, i] = angle[j, i]
-                        creep = own_creeps[r, 0, i] > 0.0 and not slips(
-                            speed[j, i],
-                            v[j, i],
-                            first[j, i],
-                            last[j, i],
-                            slide[j, i],
-                            own_creeps[r, 0, i],
-                            own_creeps[r, 1, i],
-                        )
-                        if creep or speed[j, i] * v[j, i] <= 0.0:
-                            first[j, i] = last[j, i] = (v[j, i] - speed[j, i]) / step
-                        if stays:
-                            held[j, i] = -hold[r, i] / stick[j, i] if stick[j, i] > 0.0 else direction[j, i]
-            for k in range(joints):
+                        for i in range(LANES):
+                            moving[r, i], resting[r, i] = max(slide[j, i], 0.0), max(stick[j, i], 0.0)
+                            load[r, i] = -moving[r, i] * direction[j, i]
+                    for i in range(LANES):
+                        if turned[i]:
+                            for k in range(joints):
+                                accelerated[k] = (v[k, i] - speed[k, i]) / h[i]
+                            rub_in_step(
+                                some_ahead, speed, load, moving, resting, inverse, own_ahead, bare, spared, rubbing,
+                                own_creeps, accelerated, h[i], impulsive, sweeps, close, end, moved, hold, i,
+                            )  # fmt: skip
+                            if impulsive:
+                                for k in range(joints):
+                                    v[k, i] = (
+                                        end[k, i] if is_rubbing[k] else speed[k, i] + h[i] * accelerated[k]
+                                    )
+                                    q[k, i] = angle[k, i] + h[i] * v[k, i]
+                                    first[k, i] = last[k, i] = (v[k, i] - speed[k, i]) / h[i]
+                                for r in range(len(rubbing)):
+                                    j = rubbing[r]
+                                    if v[j, i] == 0.0 and stick[j, i] > 0.0:
+                                        held[j, i] = -hold[r, i] / stick[j, i]
+                                continue
+                            for r in range(len(rubbing)):
+                                j = rubbing[r]
+                                if slide[j, i] > 0.0:
+                                    share = min(max(-load[r, i] / slide[j, i], -HUGE), HUGE)
+                                    direction[j, i] = share / max(share * share, 1.0)
+                                    if direction[j, i] != share:
+                                        push[j, i] += load[r, i] + slide[j, i] * direction[j, i]
+                                else:
+                                    load[r, i] = 0.0
+                    if not impulsive:
+                        runge_kutta(
+                            tree, own, effects, rows, masses, which, forces, level, stages, angle, speed, efforts,
+                            times, push, own_steady, direction, h, late, impulsive, q, v, first, last,
+                        )  # fmt: skip
+                    for i in range(LANES):
+                        if impulsive or not turned[i]:
+                            continue
+                        for k in range(joints):
+                            accelerated[k] = (v[k, i] - speed[k, i]) / h[i]
+                        rub_in_step(
+                            some_ahead, speed, load, moving, resting, inverse, own_ahead, bare, spared, rubbing,
+                            own_creeps, accelerated, h[i], impulsive, sweeps, close, end, moved, hold, i,
+                        )  # fmt: skip
+                        for k in range(joints):
+                            if not is_rubbing[k]:
+                                end[k, i] = speed[k, i] + h[i] * accelerated[k]
+                                moved[k, i] = 0.5 * h[i] * (speed[k, i] + end[k, i])
+                            # The part of the way that a constant acceleration does not explain stays.
+                            q[k, i] += moved[k, i] - 0.5 * h[i] * (speed[k, i] + v[k, i])
+                            v[k, i] = end[k, i]
+                        for r in range(len(rubbing)):
+                            j = rubbing[r]
+                            stays = v[j, i] == 0.0
+                            if stays and speed[j, i] == 0.0:
+                                q[j, i] = angle[j, i]
+                            creep = own_creeps[r, 0, i] > 0.0 and not slips(
+                                speed[j, i],
+                                v[j, i],
+                                first[j, i],
+                                last[j, i],
+                                slide[j, i],
+                                own_creeps[r, 0, i],
+                                own_creeps[r, 1, i],
+                            )
+                            if creep or speed[j, i] * v[j, i] <= 0.0:
+                                first[j, i] = last[j, i] = (v[j, i] - speed[j, i]) / h[i]
+                            if stays:
+                                held[j, i] = (
+                                    -hold[r, i] / stick[j, i] if stick[j, i] > 0.0 else direction[j, i]
+                                )
+                for k in range(joints):
+                    for i in range(LANES):
+                        angle[k, i] = q[k, i] if live[i] else angle[k, i]
+                        speed[k, i] = v[k, i] if live[i] else speed[k, i]
+                    for i in range(size):
+                        left[k, n, at + i] = first[k, i] if piece == 0 else left[k, n, at + i]
+                        right[k, n, at + i] = last[k, i] if live[i] else right[k, n, at + i]
                 for i in range(LANES):
-                    angle[k, i], speed[k, i] = q[k, i], v[k, i]
+                    since[i] += h[i]
+            for k in range(joints):
                 for i in range(size):
                     value[k, n + 1, at + i], value[joints + k, n + 1, at + i] = angle[k, i], speed[k, i]
-                    left[k, n, at + i], right[k, n, at + i] = first[k, i], last[k, i]

@@ -142,7 +142,7 @@ def runge_kutta(
     tree, own, effects, rows, masses, which, forces, level, stages, angle, speed, efforts, times, push, steady,
     direction, step, late, impulsive, end_angle, end_speed, first, last,
 ):  # fmt: skip
-    """One step of a block; ``masses[0]`` keeps the factors at its start.
+    """One step (LANES,) of a block; ``masses[0]`` keeps the factors at its start.
 
     Where speeds are late, each stage has the acceleration of the stage before, and the first one its own. An impulsive
     step is v' = v + h a, q' = q + h v': it has one stage.
@@ -175,19 +175,18 @@ def runge_kutta(
             steady, direction, stages[4 + stage],
         )  # fmt: skip
         if call > 0 and stage < 3:
-            part = step if stage == 2 else 0.5 * step
+            share = 1.0 if stage == 2 else 0.5
             for k in range(joints):
                 for i in range(LANES):
-                    q[k, i] = angle[k, i] + part * stages[stage, k, i]
+                    q[k, i] = angle[k, i] + share * step[i] * stages[stage, k, i]
                 for i in range(LANES):
-                    stages[stage + 1, k, i] = speed[k, i] + part * stages[4 + stage, k, i]
-    sixth = step / 6.0
+                    stages[stage + 1, k, i] = speed[k, i] + share * step[i] * stages[4 + stage, k, i]
     if impulsive:
         for k in range(joints):
             for i in range(LANES):
-                end_speed[k, i] = speed[k, i] + step * a1[k, i]
+                end_speed[k, i] = speed[k, i] + step[i] * a1[k, i]
             for i in range(LANES):
-                end_angle[k, i] = angle[k, i] + step * end_speed[k, i]
+                end_angle[k, i] = angle[k, i] + step[i] * end_speed[k, i]
             for i in range(LANES):
                 first[k, i] = a1[k, i]
             for i in range(LANES):
@@ -196,8 +195,10 @@ def runge_kutta(
     for k in range(joints):
         # A loop for each result: in one, the compiler would have to check too many rows for overlap.
         for i in range(LANES):
+            sixth = step[i] / 6.0
             end_angle[k, i] = angle[k, i] + sixth * (v1[k, i] + 2.0 * (v2[k, i] + v3[k, i]) + v4[k, i])
         for i in range(LANES):
+            sixth = step[i] / 6.0
             end_speed[k, i] = speed[k, i] + sixth * (a1[k, i] + 2.0 * (a2[k, i] + a3[k, i]) + a4[k, i])
         for i in range(LANES):
             first[k, i] = a1[k, i]

@@ -21,6 +21,7 @@ from deepkoco.systems.plain import is_plain
 CHECKED = 2  # steps of a new program that are compared with torch
 LANES = 3  # in which they are
 TIMES = (0.0, 1.3, 47.0)  # log times of the windows in which they are [s]
+SHORT = 2e-3  # length of these steps where programs suit any [s]
 BROAD = 1e3  # largest command there
 SAME = 1e-9  # relative difference up to which both are the same
 FAR = 1e4  # state from which a motion there is no longer moderate
@@ -32,7 +33,7 @@ WEAKER, WEAKENED = (
 PLACES = ("body", "load", "memory", "elastic")  # of effects that are part of the equations of motion
 # States (2 J, n + 1, W, L), and accelerations (J, n, W, L) at the start and at the end of each step.
 Rolled = tuple[np.ndarray, np.ndarray, np.ndarray]
-Key = tuple[tuple[str, ...], tuple[str, ...], float, bool]
+Key = tuple[tuple[str, ...], tuple[str, ...], float | None, bool]
 _programs: WeakKeyDictionary[System, dict[Key, Program | None]] = WeakKeyDictionary()
 _parts: WeakKeyDictionary[System, dict[tuple[str, ...], ExtendedSystem]] = WeakKeyDictionary()
 _filling = RLock()  # several threads simulate, and a trace changes how torch works
@@ -64,11 +65,11 @@ def along_windows(
     if not is_plain([*tensors, *given.start, *given.begin, *given.slope, *loads]):
         return None
     windows, count = given.start[0].shape
-    steps, joints = len(given.begin[0]), system.joints
+    steps, joints = len(given.begin[0]) // given.pieces, system.joints
     groups = []
     inside = _in_equations(system)
     lanes = {name: part for name, part in (lanes or {}).items() if name in inside}
-    for first, last in _groups(lanes, count):
+    for first, last in _groups(lanes, count, given):
         acting = _with_effects(
             system, [n for n in inside if n not in lanes or first in range(*lanes[n].indices(count))]
         )
@@ -98,10 +99,17 @@ def _names(system: System) -> tuple[str, ...]:
     return tuple(e.name for e in system.effects) if isinstance(system, ExtendedSystem) else ()
 
 
-def _groups(lanes: Mapping[str, slice], count: int) -> list[tuple[int, int]]:
-    """Neighbouring lanes in which the same effects act: the first of each group, and the one behind its last."""
-    edges = sorted({0, count, *(e for part in lanes.values() for e in (part.start, part.stop))})
-    return list(itertools.pairwise(edges))
+def _groups(lanes: Mapping[str, slice], count: int, given: StepsInput) -> list[tuple[int, int]]:
+    """Neighbouring lanes in which the same effects act, with steps in one piece or with others.
+
+    Returns:
+        The first lane of each group, and the one behind its last.
+    """
+    edges = {0, count, *(e for part in lanes.values() for e in (part.start, part.stop))}
+    if given.length is not None:
+        in_pieces = (given.length.unflatten(0, (-1, given.pieces))[:, 1:] > 0.0).any(0).any(0).any(0)
+        edges.update((in_pieces[1:] != in_pieces[:-1]).nonzero()[:, 0].add(1).tolist())
+    return list(itertools.pairwise(sorted(edges)))
 
 
 def _in_equations(system: System) -> tuple[str, ...]:
@@ -127,12 +135,19 @@ def _of_lanes(given: StepsInput, first: int, last: int) -> StepsInput:
     def cut(x: Tensor) -> Tensor:
         return x[..., first:last]
 
-    return given._replace(
+    part = given._replace(
         start=tuple(cut(x) for x in given.start),
         begin=tuple(cut(x) for x in given.begin),
         slope=tuple(cut(x) for x in given.slope),
         loads=None if given.loads is None else cut(given.loads),
     )
+    if given.length is None:
+        return part
+    length, pieces = cut(given.length), given.pieces
+    if bool((length.unflatten(0, (-1, pieces))[:, 1:] > 0.0).any()):
+        return part._replace(length=length)
+    begin, slope = (tuple(x[::pieces] for x in each) for each in (part.begin, part.slope))
+    return part._replace(begin=begin, slope=slope, length=None, pieces=1)
 
 
 def has_program(system: System, step: float) -> bool:
@@ -141,10 +156,10 @@ def has_program(system: System, step: float) -> bool:
 
 
 def _known(system: System, values: Mapping[str, Tensor], given: StepsInput) -> Program | None:
-    return _program(system, values, given.step, given.loads is not None)
+    return _program(system, values, None if given.length is not None else given.step, given.loads is not None)
 
 
-def _program(system: System, names: Iterable[str], step: float, loaded: bool) -> Program | None:
+def _program(system: System, names: Iterable[str], step: float | None, loaded: bool) -> Program | None:
     """The program of a system, traced at its first use and compared with torch; None where it has none."""
     base = system.base if isinstance(system, ExtendedSystem) else system
     key = (_names(system), tuple(names), step, loaded)
@@ -160,7 +175,7 @@ def _program(system: System, names: Iterable[str], step: float, loaded: bool) ->
         return known[key]
 
 
-def _is_right(system: System, names: Iterable[str], h: float, loaded: bool, program: Program) -> bool:
+def _is_right(system: System, names: Iterable[str], h: float | None, loaded: bool, program: Program) -> bool:
     """Whether a program gives what torch gives: a trace does not see what Python decides by other things.
 
     What is compared depends on the system alone, so that an answer never depends on which log was simulated first.
@@ -179,7 +194,17 @@ def _is_right(system: System, names: Iterable[str], h: float, loaded: bool, prog
     start = tuple(drawn(*shape) for _ in range(2 * joints))
     slope = tuple(drawn(CHECKED, *shape) for _ in efforts)
     loads = drawn(CHECKED, joints, *shape) if loaded else None
-    broad = StepsInput(h, start, torch.tensor(TIMES, dtype=torch.float64)[:, None], efforts, slope, loads)
+    times = torch.tensor(TIMES, dtype=torch.float64)[:, None]
+    broad = StepsInput(SHORT if h is None else h, start, times, efforts, slope, loads)
+    if h is None:
+        # In two pieces, of which a lane may lack the second one.
+        share = torch.rand(
+            CHECKED // 2, *shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64
+        )
+        share[..., 0] = 1.0
+        length = SHORT * torch.stack([share, 1.0 - share], 1).flatten(0, 1)
+        loads = None if loads is None else loads[: CHECKED // 2]
+        broad = broad._replace(length=length, pieces=2, loads=loads)
     # Both ways round differently, and a motion that diverges multiplies that without bound: the sine of an angle of
     # 1e80 rad is a matter of rounding alone.
     share = torch.ones(LANES, dtype=torch.float64)
@@ -228,7 +253,8 @@ def _run(system: System, values: Mapping[str, Tensor], given: StepsInput, progra
     from deepkoco.fit.simulate.bytecode.machine import BLOCK, roll
 
     shape = tuple(given.start[0].shape)
-    columns, steps, joints = int(np.prod(shape)), len(given.begin[0]), system.joints
+    columns, total, joints = int(np.prod(shape)), len(given.begin[0]), system.joints
+    steps = total // given.pieces
 
     def flat(tensor: Tensor) -> np.ndarray:
         return np.ascontiguousarray(tensor.expand(shape).numpy()).reshape(columns)
@@ -241,7 +267,7 @@ def _run(system: System, values: Mapping[str, Tensor], given: StepsInput, progra
     for row, name in enumerate(program.parameters):
         parameters[row] = flat(values[name])
     begin, slope = (
-        np.stack([x.expand(steps, *shape).numpy().reshape(steps, columns) for x in each], 1)
+        np.stack([x.expand(total, *shape).numpy().reshape(total, columns) for x in each], 1)
         for each in (given.begin, given.slope)
     )
     loads = np.empty((0, 0, 0))
@@ -249,15 +275,18 @@ def _run(system: System, values: Mapping[str, Tensor], given: StepsInput, progra
         loads = np.ascontiguousarray(given.loads.expand(steps, joints, *shape).numpy()).reshape(
             steps, joints, columns
         )
+    length = np.empty((0, 0))
+    if given.length is not None:
+        length = np.ascontiguousarray(given.length.expand(total, *shape).numpy()).reshape(total, columns)
     value = np.empty((2 * joints, steps + 1, columns))
     first, last = np.empty((joints, steps, columns)), np.empty((joints, steps, columns))
     p = program
     roll(
         p.prologue, p.step, p.contact, p.again, p.mend, p.remember, np.zeros((p.count, BLOCK)), p.constants, p.fixed,
-        parameters, p.known, np.stack(start), p.state_rows, begin, slope, p.effort_rows, flat(given.time), p.time_rows,
-        loads, p.load_rows, given.step, p.after_rows, p.near_row, np.array(p.rubbing, np.int64), p.level_rows,
-        p.inverse_rows, p.first_rub, p.second_rub, p.creep_rows, p.creep_rates, p.impulsive, p.mended_rows,
-        p.memory_rows, value, first, last,
+        parameters, p.known, np.stack(start), p.state_rows, begin, slope, length, given.pieces, p.effort_rows,
+        flat(given.time), p.time_rows, p.length_rows, loads, p.load_rows, given.step, p.after_rows, p.near_row,
+        np.array(p.rubbing, np.int64), p.level_rows, p.inverse_rows, p.first_rub, p.second_rub, p.creep_rows, p.creep_rates,
+        p.impulsive, p.mended_rows, p.memory_rows, value, first, last,
     )  # fmt: skip
     return (
         value.reshape(2 * joints, steps + 1, *shape),

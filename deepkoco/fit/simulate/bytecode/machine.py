@@ -18,7 +18,7 @@ from deepkoco.systems.sines import FARTHEST, near_sine_and_cosine
 from deepkoco.systems.uncounted import UNCOUNTED
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "9e36be09292fd837"
+COMPILED_WITH = "4907e6da3a91c18c"
 
 OPCODES = (
     "add", "sub", "mul", "div", "neg", "abs", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh",
@@ -177,13 +177,14 @@ def execute(code: np.ndarray, table: np.ndarray, n: int) -> None:
 
 @njit(error_model="numpy", nogil=True, cache=True)
 def bind(
-    table, near, n, state_rows, rubbing, level_rows, inverse_rows, rows, creep_rows, creep_rates, impulsive, h
+    table, near, n, state_rows, rubbing, level_rows, inverse_rows, rows, creep_rows, creep_rates, impulsive,
+    length_rows, h,
 ):  # fmt: skip
     """Find the friction loads of the simulations in which a joint turns, rests or leaves; as :func:`rubbed`.
 
     Args:
-        table, n, state_rows, rubbing, level_rows, inverse_rows, creep_rows, creep_rates, impulsive, h: As for
-            :func:`roll`.
+        table, n, state_rows, rubbing, level_rows, inverse_rows, creep_rows, creep_rates, impulsive, length_rows, h: As
+            for :func:`roll`.
         near: (n,) whether friction loads are found.
         rows: As ``first_rub`` there.
     """
@@ -194,8 +195,11 @@ def bind(
     before, after = np.empty((joints, count)), np.empty((joints, count))
     load, slide, stick = np.empty((r, count)), np.empty((r, count)), np.empty((r, count))
     inverse, creeps = np.empty((joints, joints, count)), np.zeros((r, 2, count))
+    steps = np.full(count, h)
     for i in range(count):
         at = picked[i]
+        for k in range(length_rows.shape[0]):
+            steps[i] = table[length_rows[k], at]
         for j in range(joints):
             before[j, i] = table[state_rows[joints + j], at]
             after[j, i] = table[rows[j], at]
@@ -217,7 +221,7 @@ def bind(
         inverse,
         rubbing,
         creeps,
-        h,
+        steps,
         impulsive,
         1 if r == 1 else SWEEPS,
         CLOSE,
@@ -239,9 +243,9 @@ def bind(
 @njit(error_model="numpy", nogil=True, cache=True)
 def roll(
     prologue, step, contact, again, mend, remember, table, constants, fixed, parameters, known, state, state_rows,
-    begin, slope, effort_rows, clock, time_rows, loads, load_rows, h, after_rows, near_row, rubbing, level_rows,
-    inverse_rows, first_rub, second_rub, creep_rows, creep_rates, impulsive, mended_rows, memory_rows, value, first,
-    last,
+    begin, slope, length, pieces, effort_rows, clock, time_rows, length_rows, loads, load_rows, h, after_rows,
+    near_row, rubbing, level_rows, inverse_rows, first_rub, second_rub, creep_rows, creep_rates, impulsive,
+    mended_rows, memory_rows, value, first, last,
 ):  # fmt: skip
     """Simulate C windows over n steps, block by block.
 
@@ -255,10 +259,14 @@ def roll(
         constants: (c,) numbers, for the rows ``fixed``.
         parameters: (P, C), for the rows ``known``.
         state: (S, C) angles, speeds, shares at rest and memories at the start, for ``state_rows``.
-        begin, slope: (n, M, C) efforts at the start of each step, and their change per second.
+        begin, slope: (n P, M, C) efforts at the start of each of the P pieces of each step, and their change per
+            second.
+        length: (n P, C) lengths of the pieces [s], 0 for a piece that there is not; (0, 0) where steps are in one.
+        pieces: Number P.
         effort_rows: (3, M) rows of the efforts at start, middle and end of a step.
         clock: (C,) log time at the start [s].
         time_rows: (3,) rows of the time.
+        length_rows: (1,) row of the length of the piece, or none where all steps have one.
         loads: (n, J, C) outside loads; (0, 0, 0) for none.
         load_rows: (J,)
         h: Step [s].
@@ -277,9 +285,10 @@ def roll(
         value: (2 J, n + 1, C) angles and speeds, filled.
         first, last: (J, n, C) accelerations at both ends of each step, filled.
     """
-    steps, commands, columns = begin.shape
+    total, commands, columns = begin.shape
     width, joints = table.shape[1], first.shape[0]
     resting = mended_rows.shape[0] - 4 * joints if near_row >= 0 else 0
+    long, since, live = np.full(width, h), np.zeros(width), np.ones(width, np.bool_)
     for r in range(fixed.shape[0]):
         table[fixed[r], :] = constants[r]
     for at in range(0, columns, width):
@@ -291,37 +300,52 @@ def roll(
         for s in range(2 * joints):
             value[s, 0, at : at + n] = state[s, at : at + n]
         execute(prologue, table, n)
-        for k in range(steps):
+        for p in range(total):
+            k, again_in_step = p // pieces, p % pieces != 0
+            some = not again_in_step
+            for i in range(n):
+                since[i] = since[i] if again_in_step else 0.0
+                if length.shape[0]:
+                    live[i] = length[p, at + i] > 0.0
+                    some = some or live[i]
+                    # A piece that there is not is computed beside others, and left out.
+                    long[i] = length[p, at + i] if live[i] else h
+            if not some:
+                continue
             for m in range(commands):
                 for i in range(n):
-                    e, de = begin[k, m, at + i], slope[k, m, at + i]
+                    e, de = begin[p, m, at + i], slope[p, m, at + i]
                     table[effort_rows[0, m], i] = e
-                    table[effort_rows[1, m], i] = e + 0.5 * h * de
-                    table[effort_rows[2, m], i] = e + h * de
+                    table[effort_rows[1, m], i] = e + 0.5 * long[i] * de
+                    table[effort_rows[2, m], i] = e + long[i] * de
             for i in range(n):
-                now = clock[at + i] + k * h
+                now = clock[at + i] + (k * h + since[i])
                 table[time_rows[0], i] = now
-                table[time_rows[1], i] = now + 0.5 * h
-                table[time_rows[2], i] = now + h
+                table[time_rows[1], i] = now + 0.5 * long[i]
+                table[time_rows[2], i] = now + long[i]
+                since[i] += long[i]
+            for j in range(length_rows.shape[0]):
+                table[length_rows[j], :n] = long[:n]
             for j in range(load_rows.shape[0]):
                 table[load_rows[j], :n] = loads[k, j, at : at + n]
             execute(step, table, n)
+            some = False
             if near_row >= 0:
                 near = table[near_row]
-                some = False
                 for i in range(n):
+                    near[i] = near[i] if live[i] else 0.0
                     some = some or near[i] != 0.0
                 if some:
                     execute(contact, table, n)
                     bind(
                         table, near, n, state_rows, rubbing, level_rows, inverse_rows, first_rub, creep_rows,
-                        creep_rates, impulsive, h,
+                        creep_rates, impulsive, length_rows, h,
                     )  # fmt: skip
                     if second_rub.shape[0]:
                         execute(again, table, n)
                         bind(
                             table, near, n, state_rows, rubbing, level_rows, inverse_rows, second_rub, creep_rows,
-                            creep_rates, impulsive, h,
+                            creep_rates, impulsive, length_rows, h,
                         )  # fmt: skip
                     execute(mend, table, n)
                     for r in range(4 * joints):
@@ -331,16 +355,24 @@ def roll(
             if memory_rows.shape[0]:
                 execute(remember, table, n)
             for j in range(joints):
-                value[j, k + 1, at : at + n] = table[after_rows[j], :n]
-                value[joints + j, k + 1, at : at + n] = table[after_rows[joints + j], :n]
-                first[j, k, at : at + n] = table[after_rows[2 * joints + j], :n]
-                last[j, k, at : at + n] = table[after_rows[3 * joints + j], :n]
+                a, b = table[after_rows[2 * joints + j]], table[after_rows[3 * joints + j]]
+                for i in range(n):
+                    if not again_in_step:
+                        first[j, k, at + i] = a[i]
+                    if live[i]:
+                        last[j, k, at + i] = b[i]
             for s in range(2 * joints):
-                table[state_rows[s], :n] = table[after_rows[s], :n]
+                own, other = table[state_rows[s]], table[after_rows[s]]
+                for i in range(n):
+                    own[i] = other[i] if live[i] else own[i]
+                value[s, k + 1, at : at + n] = own[:n]
             for r in range(resting):
                 own = table[state_rows[2 * joints + r]]
                 share = table[mended_rows[4 * joints + r]]
                 for i in range(n):
-                    own[i] = share[i] if some and near[i] != 0.0 else 0.0
+                    if live[i]:
+                        own[i] = share[i] if some and near[i] != 0.0 else 0.0
             for r in range(memory_rows.shape[0]):
-                table[state_rows[2 * joints + resting + r], :n] = table[memory_rows[r], :n]
+                own, other = table[state_rows[2 * joints + resting + r]], table[memory_rows[r]]
+                for i in range(n):
+                    own[i] = other[i] if live[i] else own[i]

@@ -25,7 +25,7 @@ from deepkoco.fit.simulate.step import (
     with_mean_ends,
 )
 from deepkoco.graph.execution.fused.trace import TraceError, trace
-from deepkoco.systems.dry_friction import Levels, Rubbed, with_ahead, without_ahead
+from deepkoco.systems.dry_friction import Levels, Rubbed, StepLength, with_ahead, without_ahead
 from deepkoco.systems.motion import Motion
 from deepkoco.systems.system import System
 
@@ -46,6 +46,7 @@ class Program:
         state_rows: Rows of angles, speeds, shares at rest and memories.
         effort_rows: (3, M)
         time_rows: (3,)
+        length_rows: Row of the length of the step; none where all steps have one length.
         load_rows: (J,) or none.
         after_rows, near_row, mended_rows, memory_rows: Rows of results.
         level_rows, inverse_rows, first_rub, second_rub: Rows from which friction loads are found, and theirs.
@@ -70,6 +71,7 @@ class Program:
     state_rows: np.ndarray
     effort_rows: np.ndarray
     time_rows: np.ndarray
+    length_rows: np.ndarray
     load_rows: np.ndarray
     after_rows: np.ndarray
     near_row: int
@@ -86,13 +88,13 @@ class Program:
     memories: int
 
 
-def program_of(system: System, names: Sequence[str], h: float, loaded: bool) -> Program:
+def program_of(system: System, names: Sequence[str], h: float | None, loaded: bool) -> Program:
     """Trace the step of a system and translate it.
 
     Args:
         system: The system.
         names: Parameters that have values.
-        h: Step [s].
+        h: Step [s]; None where each simulation has a length of its own for each step.
         loaded: Whether there are outside loads.
 
     Raises:
@@ -102,8 +104,9 @@ def program_of(system: System, names: Sequence[str], h: float, loaded: bool) -> 
 
 
 class _Builder:
-    def __init__(self, system: System, names: Sequence[str], h: float, loaded: bool) -> None:
-        self.system, self.h, self.joints = system, h, system.joints
+    def __init__(self, system: System, names: Sequence[str], h: float | None, loaded: bool) -> None:
+        self.system, self.joints = system, system.joints
+        self.given_h, self.length = h, ["h"] if h is None else []
         given = {n: system.parameter(n).value for n in names}
         self.parameters = {f"p.{n}": torch.full(ONE, v, dtype=torch.float64) for n, v in given.items()}
         plain = equations_of(
@@ -140,7 +143,7 @@ class _Builder:
             + [f"{x}{n}.{j}" for x in ("load", "hold") for j in rubbing]
             for n in (1, 2)
         ]
-        moving = [*self.state, *(n for e in self.efforts for n in e), *self.times, *self.loads]
+        moving = [*self.state, *(n for e in self.efforts for n in e), *self.times, *self.loads, *self.length]
         self.moving = {name: zero.clone() for name in moving}
 
     def program(self) -> Program:
@@ -217,6 +220,7 @@ class _Builder:
             places(self.state),
             np.array([places(e) for e in self.efforts], dtype=np.int64).reshape(3, -1),
             places(self.times),
+            places(self.length),
             places(self.loads),
             places(self.after),
             rows[stages["step"]["near"]] if rubs else -1,
@@ -261,9 +265,12 @@ class _Builder:
         drive = Drive((efforts[0], efforts[1], efforts[2]), (t0, t1, t2), loads, memory)
         return equations, angle, speed, drive, directions(speed, rest, equations.friction)
 
+    def h(self, x: Mapping[str, Tensor]) -> StepLength:
+        return x["h"] if self.given_h is None else self.given_h
+
     def _step(self, x: dict[str, Tensor]) -> dict[str, Tensor]:
         equations, angle, speed, drive, direction = self._given(x)
-        step = step_of(equations, angle, speed, drive, direction, self.h)
+        step = step_of(equations, angle, speed, drive, direction, self.h(x))
         found = self._named(step, self.after)
         near = near_of(equations, angle, speed, drive, step)
         return found if near is None else {**found, "near": near}
@@ -280,7 +287,7 @@ class _Builder:
             found |= {f"creep.{j}": creeps[j].inertia.expand(ONE) for j in self.rubbing}
         if (ahead := equations.friction.ahead) is not None and self.ahead:
             after = tuple(x[f"after.v.{j}"] for j in range(self.joints))
-            bare, early = without_ahead(speed, after, at.inverse, self.h, ahead)
+            bare, early = without_ahead(speed, after, at.inverse, self.h(x), ahead)
             found |= _as_table("bare", bare) | {f"early1.{j}": v for j, v in enumerate(early)}
         return {n: v for n, v in found.items() if v is not None}
 
@@ -288,11 +295,11 @@ class _Builder:
         equations, angle, speed, drive, direction = self._given(x)
         at = Contact((), self._of_rubbing(x, "slide"), self._of_rubbing(x, "stick"), ())
         load = self._of_rubbing(x, "load1")
-        again, shares, applied = step_again(equations, angle, speed, drive, direction, at, load, self.h)
+        again, shares, applied = step_again(equations, angle, speed, drive, direction, at, load, self.h(x))
         found = self._named(again, self.again)
         found |= {f"share.{j}": v for j, v in enumerate(shares) if v is not None}
         if (ahead := equations.friction.ahead) is not None and self.ahead:
-            _, early = without_ahead(speed, again.speed, self._inverse(x), self.h, ahead)
+            _, early = without_ahead(speed, again.speed, self._inverse(x), self.h(x), ahead)
             found |= {f"early2.{j}": v for j, v in enumerate(early)}
         return found | {f"loaded.{j}": v for j, v in enumerate(applied) if v is not None}
 
@@ -303,16 +310,16 @@ class _Builder:
         found = Rubbed(speeds, ways, self._of_rubbing(x, f"load{last}"), self._of_rubbing(x, f"hold{last}"))
         slide, stick = self._of_rubbing(x, "slide"), self._of_rubbing(x, "stick")
         if self.impulsive:
-            step = impelled(angle, speed, found, stick, direction, self.h)
+            step = impelled(angle, speed, found, stick, direction, self.h(x))
         else:
             parts = [tuple(x[f"again.{s}.{j}"] for j in joints) for s in ("q", "v", "first", "last")]
             again = Step(parts[0], parts[1], parts[2], parts[3], (None,) * self.joints)
             if self.ahead:
                 loaded = self._of_rubbing(x, "loaded")
-                found = with_ahead(speed, again.speed, loaded, found, self._inverse(x), self.h)
-            step = bound_of(angle, speed, again, self._of_rubbing(x, "share"), stick, found, self.h)
+                found = with_ahead(speed, again.speed, loaded, found, self._inverse(x), self.h(x))
+            step = bound_of(angle, speed, again, self._of_rubbing(x, "share"), stick, found, self.h(x))
             if self.rates:
-                step = with_mean_ends(equations.friction, slide, speed, step, self.h)
+                step = with_mean_ends(equations.friction, slide, speed, step, self.h(x))
         held = {f"rest.{j}": step.rest[j] for j in self.rubbing}
         ends = [n.replace("after.", "end.") for n in self.after]
         return {**self._named(step, ends), **{n: v for n, v in held.items() if v is not None}}
