@@ -20,7 +20,7 @@ from deepkoco.fit.solve.fine_steps import MOST, STEP_ROUNDS, fine_steps, with_st
 from deepkoco.fit.solve.frozen_slopes import FrozenSlopes
 from deepkoco.fit.solve.guessed_commands import with_lost_rows_fitted
 from deepkoco.fit.solve.lazy_batch import MANY
-from deepkoco.fit.solve.levenberg_marquardt import TOLERANCE
+from deepkoco.fit.solve.levenberg_marquardt import TO_BEGIN, TOLERANCE
 from deepkoco.fit.solve.residual_noise import with_sharp_noise
 from deepkoco.fit.solve.rounded_commands import with_rounded_commands
 from deepkoco.fit.solve.scaled_inverse import DivergedError
@@ -32,7 +32,11 @@ FEW_WINDOWS = (
 
 
 def refit(
-    start: Baseline, windows: Windows, free: tuple[str, ...] | None = None, first: Fit | None = None
+    start: Baseline,
+    windows: Windows,
+    free: tuple[str, ...] | None = None,
+    first: Fit | None = None,
+    tolerance: float = TOLERANCE,
 ) -> Fit:
     """Fit the baseline's parameters under their prior, first on windows of half the length or shorter.
 
@@ -46,6 +50,7 @@ def refit(
         windows: The windows to fit.
         free: Parameters to free; None frees all that the prior covers.
         first: The fit on half windows, where it is known.
+        tolerance: Of the cost, as for :meth:`.FitProblem.fit`.
 
     Returns:
         The fit of the full windows.
@@ -59,11 +64,13 @@ def refit(
     guess = windows.state.clone()
     guess[torch.from_numpy(few_windows(windows, len(names)))] = first.state[::2]
     state, _ = problem.fit_states(first.values, guess)
-    found = problem.fit_one(Trial("refit", names, start.prior, first.values, state, first.nuisance))
+    found = problem.fit_one(
+        Trial("refit", names, start.prior, first.values, state, first.nuisance), tolerance=tolerance
+    )
     if not (first.stuck or found.stuck):
         return found
     state, _ = problem.fit_states(start.values, windows.state)
-    again = problem.fit([Trial("refit", names, start.prior, start.values, state)], LONG)[0]
+    again = problem.fit([Trial("refit", names, start.prior, start.values, state)], LONG, tolerance)[0]
     return again if not again.diverged and again.cost < found.cost else found
 
 
@@ -229,21 +236,22 @@ def refit_sharply(start: Baseline, windows: Windows, first: Fit | None = None) -
     """
     if first is None:
         windows, first = first_refit(start, windows)
-    fit = refit(start, windows, first=first)
+    fit = refit(start, windows, first=first, tolerance=TO_BEGIN)
     windows = with_sharp_noise(windows, fit)
     windows, fit = with_lost_rows_fitted(partial(FitProblem, start.system), windows, fit, start.prior)
     left = MOST
-    for _ in range(STEP_ROUNDS):
+    for further in reversed(range(STEP_ROUNDS)):
         parts = fine_steps(partial(FitProblem, start.system), windows, fit, left)
         windows, left = with_steps_cut(windows, parts), left // parts
-        trial = Trial("refit", fit.free, start.prior, fit.values, fit.state, fit.nuisance)
-        fit = FitProblem(start.system, windows).fit_one(trial)
-        if parts == 1:
+        trial = Trial("refit", fit.free, start.prior, fit.values).from_fit(fit)
+        last = parts == 1 or not further
+        fit = FitProblem(start.system, windows).fit_one(trial, tolerance=TOLERANCE if last else TO_BEGIN)
+        if last:
             break
     if windows.wander is None and fit.chi2 / windows.samples > white_limit(windows):
         noisy = with_rounded_commands(partial(FitProblem, start.system), windows, fit)
         if noisy is not windows:
-            trial = Trial("refit", fit.free, start.prior, fit.values, fit.state, fit.nuisance)
+            trial = Trial("refit", fit.free, start.prior, fit.values).from_fit(fit)
             windows, fit = noisy, FitProblem(start.system, noisy).fit_one(trial)
     return windows, fit
 

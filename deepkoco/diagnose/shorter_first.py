@@ -17,6 +17,7 @@ from deepkoco.diagnose.causes.units import LARGE_MISFIT
 from deepkoco.fit.data.halves import halved
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import ITERATIONS, Fit, FitProblem, Trial
+from deepkoco.fit.solve.levenberg_marquardt import TO_BEGIN
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.systems import ExtendedSystem
 
@@ -57,7 +58,7 @@ def shorter_first(
     problem = FitProblem(system, windows)
     state, _ = problem.fit_states(values, windows.state)
     trial = Trial("windows", names, prior, values, state)
-    found = problem.fit([trial], iterations)[0]
+    found = problem.fit([trial], iterations, TO_BEGIN)[0]
     good = (begun or found.converged) and not (found.diverged or found.stuck)
     if good and found.chi2 <= LARGE_MISFIT * windows.samples:
         return found
@@ -73,7 +74,9 @@ def shorter_first(
         longer = levels.pop()
         first = fit.state[:: len(fit.state) // len(longer.windows)]
         state, _ = longer.fit_states(fit.values, first)
-        fit = longer.fit([Trial("windows", names, prior, fit.values, state, fit.nuisance)], iterations)[0]
+        fit = longer.fit(
+            [Trial("windows", names, prior, fit.values, state, fit.nuisance)], iterations, TO_BEGIN
+        )[0]
     if found.diverged and fit.diverged:
         raise problem.divergence(trial, found)
     return found if fit.diverged or found.cost <= fit.cost else fit
@@ -100,7 +103,7 @@ def _shortest(
         if best is not None and begin == values:
             break
         state, _ = problem.fit_states(begin, problem.windows.state)
-        fit = problem.fit([Trial("windows", names, prior, begin, state)], iterations)[0]
+        fit = problem.fit([Trial("windows", names, prior, begin, state)], iterations, TO_BEGIN)[0]
         if best is None or best.diverged or (not fit.diverged and fit.cost < best.cost):
             best = fit
         if (best.converged and not best.stuck) or best.chi2 <= LARGE_MISFIT * problem.windows.samples:

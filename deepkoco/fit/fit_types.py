@@ -11,6 +11,9 @@ from torch import Tensor
 
 from deepkoco.fit.solve.prior import Prior
 
+# Relative additions to the diagonals of the normal equations: of a first step, and the largest that a fit hands on to
+# another one, which soon steps farther than this where slopes hold.
+FIRST_DAMPING, MOST_DAMPING = 1e-4, 0.1
 STUCK = 0.01  # share of its cost that a step still promises where a fit is stuck
 
 
@@ -26,6 +29,7 @@ class Trial:
         state: (W, S) start values of the initial states; None takes the windows' first guess.
         nuisance: (z,) start values of the nuisances of the logs (:class:`.nuisances.Nuisances`); None for zeros.
         renew: Free parameters whose slopes are computed at every point, also where a fit keeps the other slopes.
+        damping: Of the first step, relative to the diagonals of the normal equations.
     """
 
     name: str
@@ -35,10 +39,11 @@ class Trial:
     state: Tensor | None = None
     nuisance: Tensor | None = None
     renew: tuple[str, ...] = ()
+    damping: float = FIRST_DAMPING
 
     def from_fit(self, fit: Fit) -> Trial:
-        """Return this trial with another start: the values, initial states and nuisances of a fit."""
-        return replace(self, values=fit.values, state=fit.state, nuisance=fit.nuisance)
+        """Return this trial with another start: the values, initial states, nuisances and damping of a fit."""
+        return replace(self, values=fit.values, state=fit.state, nuisance=fit.nuisance, damping=fit.damping)
 
 
 @dataclass
@@ -62,6 +67,8 @@ class Fit:
         exact: Whether covariance, information and curvature belong to these values, not to an earlier point of the fit.
         narrowed: Factor by which its prior is narrower, as a variance, than that of the other fits.
         promised: Fall of the cost that a step without damping promises where the fit has ended.
+        damping: With which a fit that begins here starts: where a joint sticks and slips, slopes hold over short steps
+            only, and a fit that begins beside another need not find that out again.
     """
 
     name: str
@@ -80,6 +87,7 @@ class Fit:
     exact: bool = True
     narrowed: float = 1.0
     promised: float = 0.0
+    damping: float = FIRST_DAMPING
 
     @property
     def diverged(self) -> bool:

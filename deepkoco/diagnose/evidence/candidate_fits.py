@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from deepkoco.diagnose.evidence.footholds import CLOSE, ITERATIONS, SCOUTING
 from deepkoco.fit.fit import Fit, FitProblem, Trial
@@ -33,6 +34,8 @@ def fit_best(
     """
     if not trials:
         return {}
+    # Slopes hold as far around the starts as around the reference, near which these are.
+    trials = [replace(trial, damping=max(trial.damping, reference.damping)) for trial in trials]
     scouts = problem.fit(trials, SCOUTING, CLOSE, known, exact=False, renewals=None if known is None else 0)
     best: dict[str, tuple[Fit, Trial]] = {}
     for trial, scout in zip(trials, scouts, strict=True):

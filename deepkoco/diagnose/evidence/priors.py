@@ -50,7 +50,7 @@ def freed(
 ) -> Trial:
     """Return a trial with all free parameters of a baseline and of these causes; it starts from a given fit."""
     prior = prior_with(problem, before, causes, values)
-    return Trial("healthy", prior.names, prior, values, fit.state, fit.nuisance)
+    return Trial("healthy", prior.names, prior, values, fit.state, fit.nuisance, damping=fit.damping)
 
 
 def strained(problem: FitProblem, start: Baseline, fit: Fit, alone: bool = True) -> bool:

@@ -23,7 +23,7 @@ from torch import Tensor
 from deepkoco.fit.fit_types import Fit, Trial
 from deepkoco.fit.shooting import ShootingProblem
 from deepkoco.fit.solve.frozen_slopes import FrozenSlopes, slopes_at, varying
-from deepkoco.fit.solve.levenberg_marquardt import LARGEST_DAMPING, LEAST_DAMPING, TOLERANCE, Batch
+from deepkoco.fit.solve.levenberg_marquardt import LARGEST_DAMPING, LEAST_DAMPING, LIKELY, TOLERANCE, Batch
 from deepkoco.fit.solve.normal_equations import NormalEquations
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.fit.tangent import Tangent, simulated
@@ -74,6 +74,9 @@ class LazyBatch(Batch):
         self.whole = np.ones(count, dtype=bool)  # all slopes are computed again, not only those that matter
         self.partly = np.zeros(count, dtype=bool)  # the latter were computed at the best point
         self.fresh: list[dict[str, Tensor]] = [{}] * count
+        self.refused = np.zeros(
+            count, dtype=bool
+        )  # a step with less damping has raised the cost since the last one
         self.curved = np.zeros(count, dtype=bool)  # a step with slopes of its point has raised the cost
 
     def run(self, iterations: int) -> list[Fit]:
@@ -119,7 +122,10 @@ class LazyBatch(Batch):
             self.theta[k], self.initial[k], self.nuisance[k] = (part[k] for part in points)
             self.current[k], self.partly[k] = fresh, False
             if not first:
-                self.damping[k] = max(self.damping[k] * 0.1, LEAST_DAMPING)
+                # A step that was refused with less damping would be refused again.
+                if not self.refused[k] and decrease >= LIKELY * self.predicted[k]:
+                    self.damping[k] = max(self.damping[k] * 0.1, LEAST_DAMPING)
+                self.refused[k] = False
                 if decrease < self._tolerance(k):
                     self._settle(k)
                 elif decrease < POOR * self.predicted[k]:
@@ -128,6 +134,7 @@ class LazyBatch(Batch):
             self.done[k] = True
         elif self.current[k] or not self._ask_for_slopes(k):
             self.damping[k] *= 20.0
+            self.refused[k] = True
             self.curved[k] |= self.current[k]
             # If the step raises the cost by rounding errors only, the cost is at its minimum.
             if normal.finite and -decrease < 1e-3 * self._tolerance(k):

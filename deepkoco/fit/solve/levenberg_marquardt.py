@@ -19,7 +19,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepkoco.fit.fit_types import Fit, Trial
+from deepkoco.fit.fit_types import FIRST_DAMPING, MOST_DAMPING, Fit, Trial
 from deepkoco.fit.shooting import ShootingProblem
 from deepkoco.fit.solve.covariance import covariance_of
 from deepkoco.fit.solve.normal_equations import NormalEquations
@@ -28,6 +28,8 @@ from deepkoco.fit.solve.state_search import lower_states
 from deepkoco.fit.tangent import Tangent, batches, simulated
 
 TOLERANCE = 0.02  # a fit has converged when a step lowers its cost by less
+# The same for a fit that only begins another one: within one standard deviation of the parameters.
+TO_BEGIN = 0.5
 LEAST_DAMPING, LARGEST_DAMPING = 1e-9, 1e8
 KEPT = 0.25  # share of the fall that a step promises, which it gives with other initial states
 LIKELY = 0.75  # share of it from which a longer step may follow then
@@ -52,7 +54,7 @@ class Batch:
         self.nuisance = torch.stack([right if t.nuisance is None else t.nuisance for t in trials]).clone()
         count = len(trials)
         self.penalties = [t.prior.penalty(t.free) for t in trials]
-        self.damping = np.full(count, 1e-4)
+        self.damping = np.array([t.damping for t in trials])
         self.cost = np.full(count, np.inf)
         self.done = np.zeros(count, dtype=bool)
         self.converged = np.zeros(count, dtype=bool)
@@ -284,6 +286,7 @@ class Batch:
             self.history[k],
             bool(self.converged[k]),
             promised=self._promised(k),
+            damping=float(np.clip(self.damping[k], FIRST_DAMPING, MOST_DAMPING)),
         )
 
     def _diverged(self, k: int) -> Fit:
