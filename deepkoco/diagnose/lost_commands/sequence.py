@@ -15,6 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from deepkoco.fit.solve.thin_svd import thin_svd
+
 KEPT = 256  # patterns that are kept from tick to tick
 DIFFUSE = 1e8  # prior variance of the initial state of a window, over its posterior variance
 NO_SLOPE = 1e-12  # share of the largest slope below which a direction of the initial state has no effect
@@ -61,7 +63,7 @@ def innovations(
     seen = np.isfinite(state).all(1) & np.isfinite(change).all(1) & np.isfinite(residual)
     state, change, residual, t = state[seen], change[seen], residual[seen], t[seen]
     order = np.argsort(t, kind="stable")
-    rows, size, _ = np.linalg.svd(state[order], full_matrices=False)
+    rows, size, _ = thin_svd(state[order])
     rows = rows[:, size > NO_SLOPE * size.max(initial=0.0)]
     both = np.column_stack([change[order], residual[order]])
     _take_out(np.ascontiguousarray(rows), both)

@@ -24,6 +24,7 @@ from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import FitProblem
 from deepkoco.fit.fit_types import Fit
 from deepkoco.fit.solve.noise_moves import EARLY, inside, moves_of
+from deepkoco.fit.solve.thin_svd import thin_svd
 from deepkoco.fit.tangent import Tangent, simulated
 
 SHORT = (24, 48, 96, 192)  # samples in a row that tell whether commands have noise; the fewest that show it
@@ -243,7 +244,7 @@ def _short_answers(
             np.concatenate([of_state, *(moved[:, c] @ smooth for c in range(len(most)))], axis=1)
         )
         left, moved = own - basis @ (basis.T @ own), moved.reshape(len(own), -1)
-        vectors, singular, right = np.linalg.svd(moved - basis @ (basis.T @ moved), full_matrices=False)
+        vectors, singular, right = thin_svd(moved - basis @ (basis.T @ moved))
         shown_by = right.reshape(len(right), len(most), -1)
         amount = _amounts(windows, w, int(first[k]), int((last - first).max()), most, shown_by.shape[-1])
         result.append(_answer(vectors.T @ left, singular, shown_by, amount))
@@ -304,5 +305,5 @@ def _slow_waves(pieces: int, waves: int) -> np.ndarray:
 def _basis_of(columns: np.ndarray) -> np.ndarray:
     """Return an orthonormal basis of what columns (n, c) span."""
     size = np.linalg.norm(columns, axis=0)
-    vectors, singular, _ = np.linalg.svd(columns[:, size > 0.0] / size[size > 0.0], full_matrices=False)
+    vectors, singular, _ = thin_svd(columns[:, size > 0.0] / size[size > 0.0])
     return vectors[:, singular > SAME * singular.max(initial=SAME)]

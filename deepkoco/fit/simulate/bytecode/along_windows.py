@@ -285,8 +285,8 @@ def _run(system: System, values: Mapping[str, Tensor], given: StepsInput, progra
         p.prologue, p.step, p.contact, p.again, p.mend, p.remember, np.zeros((p.count, BLOCK)), p.constants, p.fixed,
         parameters, p.known, np.stack(start), p.state_rows, begin, slope, length, given.pieces, p.effort_rows,
         flat(given.time), p.time_rows, p.length_rows, loads, p.load_rows, given.step, p.after_rows, p.near_row,
-        np.array(p.rubbing, np.int64), p.level_rows, p.inverse_rows, p.first_rub, p.second_rub, p.creep_rows, p.creep_rates,
-        p.impulsive, p.mended_rows, p.memory_rows, value, first, last,
+        np.array(p.rubbing, np.int64), p.level_rows, p.inverse_rows, p.first_rub, p.second_rub, p.creep_rows,
+        p.creep_rates, p.impulsive, p.mended_rows, p.memory_rows, value, first, last,
     )  # fmt: skip
     return (
         value.reshape(2 * joints, steps + 1, *shape),
