@@ -21,6 +21,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+StepLength = float | Tensor  # length of a step [s]: one for all simulations, or one for each
+
 
 class Creep(NamedTuple):
     """How softly dry friction holds a joint.
@@ -48,7 +50,7 @@ def slips(speed: Tensor, acceleration: Tensor, level: Tensor, creep: Creep) -> T
 
 
 def slide_and_creep(
-    speed: Tensor, free: Tensor, level: Tensor, own: Tensor, creep: Creep, h: float | Tensor
+    speed: Tensor, free: Tensor, level: Tensor, own: Tensor, creep: Creep, h: StepLength
 ) -> tuple[Tensor, Tensor]:
     """Speed after a step, and way over it, of one joint under a constant acceleration and friction that creeps.
 
@@ -60,7 +62,7 @@ def slide_and_creep(
         level: Of the friction, not negative [N m or N].
         own: Inverse inertia of the joint [1/(kg m2) or 1/kg].
         creep: The constraint.
-        h: Step [s].
+        h: Step [s], one for all simulations or one for each.
     """
     soft, b = own * creep.inertia, creep.rate
     whole = h if isinstance(h, Tensor) else torch.full_like(speed, h)

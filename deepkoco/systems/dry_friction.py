@@ -20,14 +20,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepkoco.systems.creep import Creep, slide_and_creep
+from deepkoco.systems.creep import Creep, StepLength, slide_and_creep
 from deepkoco.systems.motion import Motion
 from deepkoco.systems.plain import is_plain, is_readable
 
 Values = tuple[Tensor, ...]
 Levels = tuple[Tensor | None, ...]
 Creeps = tuple[Creep, ...] | None
-StepLength = float | Tensor  # length of a step [s]: one for all simulations, or one for each
 
 SWEEPS = 400  # at most; two joints need about five, and five that drag hard on each other up to a hundred
 UNREAD_SWEEPS = 12  # always, where the values cannot be read: in a trace, and on a device
@@ -86,7 +85,7 @@ def slide_and_rest(
         free: Acceleration without dry friction, per second squared.
         slide: Deceleration by dry friction until the joint rests, not negative.
         stick: Largest acceleration at which dry friction holds the joint, not negative.
-        h: StepLength [s].
+        h: Step [s], one for all simulations or one for each.
     """
     pace, sign = speed.abs(), torch.sign(speed)
     brake = slide - sign * free
@@ -111,7 +110,7 @@ def slide_or_stop(speed: Tensor, free: Tensor, slide: Tensor, h: StepLength) -> 
         speed: At the start of the step, per second.
         free: Acceleration without dry friction, per second squared.
         slide: Deceleration by dry friction, not negative.
-        h: StepLength [s].
+        h: Step [s], one for all simulations or one for each.
 
     Source: Catto, Iterative dynamics with temporal coherence (2005): joint friction as a bounded constraint impulse.
     """
@@ -141,7 +140,7 @@ def rubbed(
         slide: J levels of dry friction of joints that move.
         stick: J levels of dry friction of joints at rest.
         inverse: J rows of the inverse inertia.
-        h: StepLength [s].
+        h: Step [s], one for all simulations or one for each.
         creeps, ahead: As of :class:`DryFriction`.
         whole: Whether friction is an impulse of the whole step, as engines have it: see :func:`slide_or_stop`.
     """
@@ -220,7 +219,7 @@ def without_ahead(
         before: J speeds at the start of the step.
         after: J speeds after the step, with these armatures.
         inverse: J rows of the inverse inertia, with these armatures.
-        h: StepLength [s].
+        h: Step [s], one for all simulations or one for each.
         ahead: J armatures [kg m2 or kg].
     """
     joints = range(len(before))

@@ -1,5 +1,6 @@
 """Fits that keep slopes from step to step, against fits that compute them at every step."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -172,3 +173,33 @@ def test_a_simulation_that_runs_away_beside_a_step_leaves_the_step_straight(arm,
     assert probes
     assert found.converged
     assert abs(found.cost - reference.cost) < 10.0 * TOLERANCE
+
+
+def test_a_damping_that_another_fit_hands_on_ends_no_fit_early(arm, trial):
+    """Steps with much damping promise little; that is no minimum before less damping was found to be too little."""
+    usual = LazyBatch(arm, [trial], TOLERANCE).run(25)[0]
+    much = LazyBatch(arm, [replace(trial, damping=1e3)], TOLERANCE).run(40)[0]
+    assert much.converged
+    assert abs(much.cost - usual.cost) < 10.0 * TOLERANCE
+
+
+def test_a_damping_that_was_too_little_is_not_tried_again_after_the_next_step(arm, trial, monkeypatch):
+    """A cost that allows short steps only: with less damping than 0.01, every step raises it."""
+    tried = []
+    usual = LazyBatch._judge
+
+    def judge(self, k, normal, points):
+        if self.normal[k] is not None and not self.renewing[k] and self.damping[k] < 0.01:
+            normal = replace(normal, cost=self.cost[k] + 100.0)
+        tried.append(float(self.damping[k]))
+        usual(self, k, normal, points)
+
+    monkeypatch.setattr(LazyBatch, "_judge", judge)
+    fit = LazyBatch(arm, [trial], TOLERANCE).run(25)[0]
+    assert fit.damping >= 0.01
+    # Such a step is followed by one with the same damping, and a fit that begins there has it from the start.
+    enough = [k for k, damping in enumerate(tried) if damping >= 0.01]
+    assert tried[enough[0] + 1] >= 0.01
+    tried.clear()
+    LazyBatch(arm, [trial.from_fit(fit)], TOLERANCE).run(25)
+    assert tried[0] == fit.damping

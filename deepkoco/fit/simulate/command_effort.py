@@ -101,7 +101,6 @@ class _Sent(NamedTuple):
         series: Efforts at the stamps, of each log and of lanes that differ.
         row: (L, w) row of the series for each lane and window.
         late: (L, w) delay [s].
-        lagged: (L,) whether the effort follows its command through a lag.
         key: (L, 3) what makes lanes differ: row, delay and skew.
     """
 
@@ -109,7 +108,6 @@ class _Sent(NamedTuple):
     series: HeldEfforts
     row: np.ndarray
     late: np.ndarray
-    lagged: np.ndarray
     key: np.ndarray
 
 
@@ -145,7 +143,7 @@ def _sent(
             # Lanes with the same efforts share one series.
             distinct, member = _distinct(np.column_stack([shaped[:, _probe(command, index)], *lags]))
         series = HeldEfforts(command, shaped[distinct], [lag[distinct] for lag in lags])
-        found.append(_one_sent(windows, own, series, member[:, None], delay, skew, lags))
+        found.append(_one_sent(windows, own, series, member[:, None], delay, skew))
     return found
 
 
@@ -171,7 +169,7 @@ def _sent_in_one_lane(
         series = HeldEfforts(command, effort, [lag.repeat(len(numbers)) for lag in lags])
         own = np.flatnonzero(np.isin(windows.log, numbers))
         row = np.searchsorted(numbers, windows.log[own])[None]
-        found.append(_one_sent(windows, own, series, row, delay, skew, lags))
+        found.append(_one_sent(windows, own, series, row, delay, skew))
     return found
 
 
@@ -182,13 +180,11 @@ def _one_sent(
     row: np.ndarray,
     delay: np.ndarray,
     skew: np.ndarray,
-    lags: Sequence[np.ndarray],
 ) -> _Sent:
     middle = windows.t0[own] + 0.5 * windows.length - series.t[0]
     late = delay[:, None] + skew[:, None] * middle
-    lagged = np.any([lag > 0.0 for lag in lags], axis=0) if lags else np.zeros(len(delay), dtype=bool)
     row = np.broadcast_to(row, late.shape)
-    return _Sent(own, series, row, late, lagged, np.column_stack([row[:, 0], delay, skew]))
+    return _Sent(own, series, row, late, np.column_stack([row[:, 0], delay, skew]))
 
 
 class _Cut(NamedTuple):
@@ -215,16 +211,23 @@ class _Cut(NamedTuple):
 
 
 def _cut(windows: Windows, commands: Sequence[_Sent]) -> _Cut:
-    """Cut the steps of some windows where any of their commands jumps."""
-    one, count = commands[0], max(len(each.key) for each in commands)
-    keys = [np.column_stack([each.key[:, 1:], each.lagged]) for each in commands]
-    keys = np.concatenate([np.broadcast_to(key, (count, 3)) for key in keys], axis=1)
+    """Cut the steps of some windows where any of their commands jumps.
+
+    The logged commands tell where, so that no lane is cut because of another one.
+    """
+    own, count = commands[0].own, max(len(each.key) for each in commands)
+    keys = np.concatenate([np.broadcast_to(each.key[:, 1:], (count, 2)) for each in commands], axis=1)
     distinct, group = _distinct(keys) if count > 1 else (np.zeros(1, dtype=int), np.zeros(1, dtype=int))
-    late = np.stack([np.broadcast_to(each.late, (count, len(one.own)))[distinct] for each in commands])
-    for k, each in enumerate(commands):
-        late[k, np.broadcast_to(each.lagged, count)[distinct]] = np.nan
-    jumps = np.stack([(np.diff(each.series.effort, axis=1) != 0.0).any(axis=0) for each in commands])
-    length = pieces_at_jumps(one.series.t, jumps, late, windows.t0[one.own], windows.step, windows.steps)
+    late = np.stack([np.broadcast_to(each.late, (count, len(own)))[distinct] for each in commands])
+    logs, of_window = np.unique(windows.log[own], return_inverse=True)
+    jumps = np.stack(
+        [
+            [np.diff(windows.commands[log].column(k)) != 0.0 for log in logs.tolist()]
+            for k in range(len(commands))
+        ]
+    )
+    stamps = commands[0].series.t
+    length = pieces_at_jumps(stamps, jumps, of_window, late, windows.t0[own], windows.step, windows.steps)
     return _Cut(length, group)
 
 

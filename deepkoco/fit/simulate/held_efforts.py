@@ -10,6 +10,8 @@ from numba import njit
 
 from deepkoco.fit.data.windows import CommandSeries
 
+NOTHING = 1e-13  # length up to which a piece of a step is none [s]
+
 
 class HeldEfforts:
     """Exact first and second time integrals of held efforts (U, n) behind first-order lags.
@@ -214,7 +216,7 @@ def _lines_between(t, effort, first, second, short, long, row, delay, t0, edges,
                         break
                     begin = stop
                     piece += 1
-                if length > 0.0:
+                if length > NOTHING:
                     slope = 12.0 * (0.5 * length * whole - double) / length**3
                     b[k, w, r], a[k, w, r] = slope, whole / length - 0.5 * length * slope
                 else:

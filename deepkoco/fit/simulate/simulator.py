@@ -11,7 +11,7 @@ from torch import Tensor
 from deepkoco.fit.data.per_log_differences import amounts, of_windows
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.simulate.bytecode.along_windows import along_windows, has_program
-from deepkoco.fit.simulate.command_effort import command_efforts
+from deepkoco.fit.simulate.command_effort import Efforts, command_efforts
 from deepkoco.fit.simulate.equations import equations_of, friction_of
 from deepkoco.fit.simulate.interpolation import states_at
 from deepkoco.fit.simulate.nodes import Nodes
@@ -42,7 +42,7 @@ def trajectories(
     Returns:
         States (n + 1, L, W, S), derivative at the start and at the end of each step (n, L, W, S).
 
-    Source: classical Runge-Kutta with an effort that is linear in time within the step.
+    Source: classical Runge-Kutta with an effort that is linear in time within the step, or each of its pieces.
     """
     nodes = integrate(system, windows, parameters, initial, push)
     states, left, right = (torch.stack(part, -1).transpose(1, 2) for part in nodes)
@@ -51,7 +51,12 @@ def trajectories(
 
 def is_compiled(system: System, step: float) -> bool:
     """Whether a compiled loop or bytecode takes the steps [s] of a system without effects; else torch does."""
-    return system.rollout(system.default_parameters()) is not None or has_program(system, step)
+    values = system.default_parameters()
+    if system.rollout(values) is not None:
+        return True
+    # Steps that are cut where commands jump have a program of their own.
+    rubs = system.own_step is None and bool(system.dry_friction_levels(values).joints)
+    return has_program(system, step) and (not rubs or has_program(system, None))
 
 
 def integrate(
@@ -74,7 +79,7 @@ def integrate(
     apart = amounts(windows.known, differ)
     own = of_windows(parameters, apart, windows.log)
     friction = friction_of(system, own, lanes)
-    at_jumps = bool(friction.joints) and not windows.own_steps
+    at_jumps = bool(friction.joints) and system.own_step is None and not windows.own_steps
     efforts = command_efforts(system, windows, parameters, count, apart, at_jumps)
     pushes = None if push is None else push.permute(3, 0, 2, 1).contiguous()  # (n, J, W, L)
     parts = initial.permute(2, 1, 0).contiguous().unbind(0)
@@ -87,17 +92,38 @@ def integrate(
         )
         if (found := compiled.run(given)) is not None:
             fast = found.value[joints:]
-            return Nodes(
+            nodes = Nodes(
                 found.value, (*(v[:-1] for v in fast), *found.first), (*(v[1:] for v in fast), *found.last)
             )
+            return _between_jumps(nodes, efforts, h)
     way = None if windows.way is None else windows.way.permute(2, 1, 0)[..., None]
     given = StepsInput(
         h, parts, t0, efforts.begin, efforts.slope, pushes, bool(apart), way, windows.unseen, efforts.length,
         efforts.pieces,
     )  # fmt: skip
     if (fast := along_windows(system, own, lanes, given)) is not None:
-        return fast
-    return in_torch(equations_of(system, own, lanes), given)
+        return _between_jumps(fast, efforts, h)
+    return _between_jumps(in_torch(equations_of(system, own, lanes), given), efforts, h)
+
+
+def _between_jumps(nodes: Nodes, efforts: Efforts, h: float) -> Nodes:
+    """Return nodes whose steps that are cut have, at both ends, accelerations under which they go their way.
+
+    The accelerations of their first and last piece say nothing of the other ones. A speed that is a parabola over the
+    step, with its values at both ends and its integral, is nearest to what was simulated.
+    """
+    if efforts.length is None:
+        return nodes
+    cut = (efforts.length.unflatten(0, (-1, efforts.pieces))[:, 1:] > 0.0).any(1)
+    joints = len(nodes.value) // 2
+    left, right = list(nodes.left), list(nodes.right)
+    for j in range(joints):
+        angle, speed = nodes.value[j], nodes.value[joints + j]
+        mean = (speed[1:] - speed[:-1]) / h
+        bend = 6.0 / h**2 * (angle[1:] - angle[:-1] - 0.5 * h * (speed[1:] + speed[:-1]))
+        left[joints + j] = torch.where(cut, mean + bend, left[joints + j])
+        right[joints + j] = torch.where(cut, mean - bend, right[joints + j])
+    return Nodes(nodes.value, tuple(left), tuple(right))
 
 
 def predict(

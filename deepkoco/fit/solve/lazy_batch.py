@@ -20,7 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepkoco.fit.fit_types import Fit, Trial
+from deepkoco.fit.fit_types import FIRST_DAMPING, Fit, Trial
 from deepkoco.fit.shooting import ShootingProblem
 from deepkoco.fit.solve.frozen_slopes import FrozenSlopes, slopes_at, varying
 from deepkoco.fit.solve.levenberg_marquardt import LARGEST_DAMPING, LEAST_DAMPING, LIKELY, TOLERANCE, Batch
@@ -63,6 +63,7 @@ class LazyBatch(Batch):
         super().__init__(problem, trials, tolerance)
         self.exact, self.most = exact, renewals
         count = len(trials)
+        self.damping = np.array([t.damping for t in trials])
         self.slopes: list[FrozenSlopes | None] = [known] * count
         self.renewed = [
             tuple(n for n in t.free if n in t.renew or (known is not None and n not in known.names))
@@ -74,9 +75,9 @@ class LazyBatch(Batch):
         self.whole = np.ones(count, dtype=bool)  # all slopes are computed again, not only those that matter
         self.partly = np.zeros(count, dtype=bool)  # the latter were computed at the best point
         self.fresh: list[dict[str, Tensor]] = [{}] * count
-        self.refused = np.zeros(
-            count, dtype=bool
-        )  # a step with less damping has raised the cost since the last one
+        # Whether a step has raised the cost since the last one that was taken.
+        self.refused = np.zeros(count, dtype=bool)
+        self.too_little = np.zeros(count)  # largest damping with which a step has raised the cost
         self.curved = np.zeros(count, dtype=bool)  # a step with slopes of its point has raised the cost
 
     def run(self, iterations: int) -> list[Fit]:
@@ -127,14 +128,15 @@ class LazyBatch(Batch):
                     self.damping[k] = max(self.damping[k] * 0.1, LEAST_DAMPING)
                 self.refused[k] = False
                 if decrease < self._tolerance(k):
-                    self._settle(k)
+                    if not self._steps_farther(k):
+                        self._settle(k)
                 elif decrease < POOR * self.predicted[k]:
                     self._ask_for_slopes(k)
         elif first:
             self.done[k] = True
         elif self.current[k] or not self._ask_for_slopes(k):
+            self.refused[k], self.too_little[k] = True, max(self.too_little[k], self.damping[k])
             self.damping[k] *= 20.0
-            self.refused[k] = True
             self.curved[k] |= self.current[k]
             # If the step raises the cost by rounding errors only, the cost is at its minimum.
             if normal.finite and -decrease < 1e-3 * self._tolerance(k):
@@ -191,6 +193,14 @@ class LazyBatch(Batch):
             # The cost is finite although a lane of the finite differences diverged.
             self.done[k] = True
 
+    def _steps_farther(self, k: int) -> bool:
+        """Lower a damping that another fit has handed on, where this fit has not yet found that less is too little."""
+        lower = 0.1 * self.damping[k]
+        if lower < FIRST_DAMPING or lower <= self.too_little[k]:
+            return False
+        self.damping[k] = lower
+        return True
+
     def _settle(self, k: int) -> None:
         """End a trial whose steps no longer lower the cost, or renew its slopes before."""
         if not self.exact or self.current[k] or not self._ask_for_slopes(k, whole=True):
@@ -199,6 +209,8 @@ class LazyBatch(Batch):
     def _propose(self, k: int, points: tuple[np.ndarray, Tensor, Tensor]) -> None:
         try:
             theta, initial, nuisance, gain = self._step(k)
+            while gain < 0.25 * self._tolerance(k) and self._steps_farther(k):
+                theta, initial, nuisance, gain = self._step(k)
         except DivergedError:
             self.done[k] = True
             return

@@ -28,8 +28,7 @@ from deepkoco.fit.solve.state_search import lower_states
 from deepkoco.fit.tangent import Tangent, batches, simulated
 
 TOLERANCE = 0.02  # a fit has converged when a step lowers its cost by less
-# The same for a fit that only begins another one: within one standard deviation of the parameters.
-TO_BEGIN = 0.5
+TO_BEGIN = 0.5  # the same for a fit that only begins another one
 LEAST_DAMPING, LARGEST_DAMPING = 1e-9, 1e8
 KEPT = 0.25  # share of the fall that a step promises, which it gives with other initial states
 LIKELY = 0.75  # share of it from which a longer step may follow then
@@ -54,7 +53,7 @@ class Batch:
         self.nuisance = torch.stack([right if t.nuisance is None else t.nuisance for t in trials]).clone()
         count = len(trials)
         self.penalties = [t.prior.penalty(t.free) for t in trials]
-        self.damping = np.array([t.damping for t in trials])
+        self.damping = np.full(count, FIRST_DAMPING)
         self.cost = np.full(count, np.inf)
         self.done = np.zeros(count, dtype=bool)
         self.converged = np.zeros(count, dtype=bool)

@@ -21,7 +21,7 @@ from deepkoco.systems.trees.newton_euler_kernel import LOAD, ROWS, SPARE
 from deepkoco.systems.trees.step_kernel import mean_levels, runge_kutta
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "1acb62183ccc505d"
+COMPILED_WITH = "6cd7ecf0e6c4842a"
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

@@ -142,7 +142,7 @@ def runge_kutta(
     tree, own, effects, rows, masses, which, forces, level, stages, angle, speed, efforts, times, push, steady,
     direction, step, late, impulsive, end_angle, end_speed, first, last,
 ):  # fmt: skip
-    """One step (LANES,) of a block; ``masses[0]`` keeps the factors at its start.
+    """One step of a block, with lengths (LANES,) [s]; ``masses[0]`` keeps the factors at its start.
 
     Where speeds are late, each stage has the acceleration of the stage before, and the first one its own. An impulsive
     step is v' = v + h a, q' = q + h v': it has one stage.

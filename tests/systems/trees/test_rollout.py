@@ -212,6 +212,29 @@ def test_what_a_tree_says_that_it_rolls_is_what_its_loop_knows(arm):
             assert arm.rolls(effect) == rollout.knows(effect.name), placed.name
 
 
+@pytest.mark.parametrize("jitter", [0.0, 1e-3])
+def test_compiled_rollout_takes_the_pieces_of_steps_at_which_commands_jump(arm, jitter, monkeypatch):
+    rng = np.random.default_rng(11)
+    system = ExtendedSystem(arm, ("actuation_delay(cart)", "load_friction(shoulder)", "sensing_delay"))
+    stamps = np.arange(0.0, 3.0, STEP)
+    commands = rng.uniform(-1.0, 1.0, (len(stamps), 2)) * [4.0, 0.8]
+    stamps = stamps + rng.uniform(-jitter, jitter, len(stamps))
+    windows = replace(three_windows(arm, rng), commands=(CommandSeries(stamps, commands),))
+    values = {p.name: torch.full((LANES,), p.value, dtype=torch.float64) for p in system.parameters}
+    late = torch.linspace(0.0, 0.006, LANES, dtype=torch.float64)
+    values |= {"actuation_delay(cart).delay": late, "sensing_delay.delay": 0.3 * late.flip(0)}
+    values["load_friction(shoulder).coefficient"] = 5.0 * late
+    start = torch.from_numpy(0.3 * rng.normal(size=(LANES, 3, 6)))
+    start[:, 0, 3:] = 0.0  # all joints rest
+    compiled = integrate(system, windows, values, start)
+    assert system.rollout(values) is not None
+    steps_in_torch(monkeypatch)
+    expected = integrate(system, windows, values, start)
+    for part, other in zip(compiled, expected, strict=True):
+        for own, wanted in zip(part, other, strict=True):
+            torch.testing.assert_close(own, wanted, rtol=1e-7, atol=1e-8)
+
+
 def test_one_push_may_act_on_all_lanes(arm, monkeypatch):
     rng = np.random.default_rng(4)
     windows = three_windows(arm, rng)

@@ -150,8 +150,8 @@ def _of_lanes(given: StepsInput, first: int, last: int) -> StepsInput:
     return part._replace(begin=begin, slope=slope, length=None, pieces=1)
 
 
-def has_program(system: System, step: float) -> bool:
-    """Whether the equations of a system can be traced, for an integration step [s]."""
+def has_program(system: System, step: float | None) -> bool:
+    """Whether the equations of a system can be traced, for an integration step [s] or for steps of any length."""
     return _program(system, [p.name for p in system.parameters], step, False) is not None
 
 
@@ -197,12 +197,10 @@ def _is_right(system: System, names: Iterable[str], h: float | None, loaded: boo
     times = torch.tensor(TIMES, dtype=torch.float64)[:, None]
     broad = StepsInput(SHORT if h is None else h, start, times, efforts, slope, loads)
     if h is None:
-        # In two pieces, of which a lane may lack the second one.
-        share = torch.rand(
-            CHECKED // 2, *shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64
-        )
-        share[..., 0] = 1.0
-        length = SHORT * torch.stack([share, 1.0 - share], 1).flatten(0, 1)
+        # One step in two pieces, of which the first lane has one.
+        first = torch.from_numpy(rng.random((CHECKED // 2, *shape)))
+        first[..., 0] = 1.0
+        length = SHORT * torch.stack([first, 1.0 - first], 1).flatten(0, 1)
         loads = None if loads is None else loads[: CHECKED // 2]
         broad = broad._replace(length=length, pieces=2, loads=loads)
     # Both ways round differently, and a motion that diverges multiplies that without bound: the sine of an angle of

@@ -18,7 +18,7 @@ from deepkoco.systems.sines import FARTHEST, near_sine_and_cosine
 from deepkoco.systems.uncounted import UNCOUNTED
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "4907e6da3a91c18c"
+COMPILED_WITH = "98c0a8dddc08b81f"
 
 OPCODES = (
     "add", "sub", "mul", "div", "neg", "abs", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh",
@@ -261,7 +261,8 @@ def roll(
         state: (S, C) angles, speeds, shares at rest and memories at the start, for ``state_rows``.
         begin, slope: (n P, M, C) efforts at the start of each of the P pieces of each step, and their change per
             second.
-        length: (n P, C) lengths of the pieces [s], 0 for a piece that there is not; (0, 0) where steps are in one.
+        length: (n P, C) lengths of the pieces [s], 0 for a piece that there is not: the last ones of a
+            step; (0, 0) where steps are in one.
         pieces: Number P.
         effort_rows: (3, M) rows of the efforts at start, middle and end of a step.
         clock: (C,) log time at the start [s].
@@ -301,10 +302,10 @@ def roll(
             value[s, 0, at : at + n] = state[s, at : at + n]
         execute(prologue, table, n)
         for p in range(total):
-            k, again_in_step = p // pieces, p % pieces != 0
-            some = not again_in_step
+            k, later_piece = p // pieces, p % pieces != 0
+            some = not later_piece
             for i in range(n):
-                since[i] = since[i] if again_in_step else 0.0
+                since[i] = since[i] if later_piece else 0.0
                 if length.shape[0]:
                     live[i] = length[p, at + i] > 0.0
                     some = some or live[i]
@@ -357,7 +358,7 @@ def roll(
             for j in range(joints):
                 a, b = table[after_rows[2 * joints + j]], table[after_rows[3 * joints + j]]
                 for i in range(n):
-                    if not again_in_step:
+                    if not later_piece:
                         first[j, k, at + i] = a[i]
                     if live[i]:
                         last[j, k, at + i] = b[i]

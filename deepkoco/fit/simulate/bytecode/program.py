@@ -265,12 +265,12 @@ class _Builder:
         drive = Drive((efforts[0], efforts[1], efforts[2]), (t0, t1, t2), loads, memory)
         return equations, angle, speed, drive, directions(speed, rest, equations.friction)
 
-    def h(self, x: Mapping[str, Tensor]) -> StepLength:
+    def _h(self, x: Mapping[str, Tensor]) -> StepLength:
         return x["h"] if self.given_h is None else self.given_h
 
     def _step(self, x: dict[str, Tensor]) -> dict[str, Tensor]:
         equations, angle, speed, drive, direction = self._given(x)
-        step = step_of(equations, angle, speed, drive, direction, self.h(x))
+        step = step_of(equations, angle, speed, drive, direction, self._h(x))
         found = self._named(step, self.after)
         near = near_of(equations, angle, speed, drive, step)
         return found if near is None else {**found, "near": near}
@@ -287,7 +287,7 @@ class _Builder:
             found |= {f"creep.{j}": creeps[j].inertia.expand(ONE) for j in self.rubbing}
         if (ahead := equations.friction.ahead) is not None and self.ahead:
             after = tuple(x[f"after.v.{j}"] for j in range(self.joints))
-            bare, early = without_ahead(speed, after, at.inverse, self.h(x), ahead)
+            bare, early = without_ahead(speed, after, at.inverse, self._h(x), ahead)
             found |= _as_table("bare", bare) | {f"early1.{j}": v for j, v in enumerate(early)}
         return {n: v for n, v in found.items() if v is not None}
 
@@ -295,11 +295,11 @@ class _Builder:
         equations, angle, speed, drive, direction = self._given(x)
         at = Contact((), self._of_rubbing(x, "slide"), self._of_rubbing(x, "stick"), ())
         load = self._of_rubbing(x, "load1")
-        again, shares, applied = step_again(equations, angle, speed, drive, direction, at, load, self.h(x))
+        again, shares, applied = step_again(equations, angle, speed, drive, direction, at, load, self._h(x))
         found = self._named(again, self.again)
         found |= {f"share.{j}": v for j, v in enumerate(shares) if v is not None}
         if (ahead := equations.friction.ahead) is not None and self.ahead:
-            _, early = without_ahead(speed, again.speed, self._inverse(x), self.h(x), ahead)
+            _, early = without_ahead(speed, again.speed, self._inverse(x), self._h(x), ahead)
             found |= {f"early2.{j}": v for j, v in enumerate(early)}
         return found | {f"loaded.{j}": v for j, v in enumerate(applied) if v is not None}
 
@@ -310,16 +310,16 @@ class _Builder:
         found = Rubbed(speeds, ways, self._of_rubbing(x, f"load{last}"), self._of_rubbing(x, f"hold{last}"))
         slide, stick = self._of_rubbing(x, "slide"), self._of_rubbing(x, "stick")
         if self.impulsive:
-            step = impelled(angle, speed, found, stick, direction, self.h(x))
+            step = impelled(angle, speed, found, stick, direction, self._h(x))
         else:
             parts = [tuple(x[f"again.{s}.{j}"] for j in joints) for s in ("q", "v", "first", "last")]
             again = Step(parts[0], parts[1], parts[2], parts[3], (None,) * self.joints)
             if self.ahead:
                 loaded = self._of_rubbing(x, "loaded")
-                found = with_ahead(speed, again.speed, loaded, found, self._inverse(x), self.h(x))
-            step = bound_of(angle, speed, again, self._of_rubbing(x, "share"), stick, found, self.h(x))
+                found = with_ahead(speed, again.speed, loaded, found, self._inverse(x), self._h(x))
+            step = bound_of(angle, speed, again, self._of_rubbing(x, "share"), stick, found, self._h(x))
             if self.rates:
-                step = with_mean_ends(equations.friction, slide, speed, step, self.h(x))
+                step = with_mean_ends(equations.friction, slide, speed, step, self._h(x))
         held = {f"rest.{j}": step.rest[j] for j in self.rubbing}
         ends = [n.replace("after.", "end.") for n in self.after]
         return {**self._named(step, ends), **{n: v for n, v in held.items() if v is not None}}
