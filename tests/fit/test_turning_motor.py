@@ -76,7 +76,7 @@ def test_a_motor_at_1_khz_that_turns_is_simulated_as_exactly_as_its_encoder_show
     for _ in range(STEP_ROUNDS):
         windows = with_steps_cut(windows, fine_steps(partial(FitProblem, system), windows, fit))
         fit = fitted(system, windows)
-    assert start.chi2 > 5.0 * windows.samples  # half of such a step differs little from it in some windows
+    assert start.chi2 > 1.5 * windows.samples
     assert fit.chi2 < 1.1 * windows.samples
 
 

@@ -22,9 +22,8 @@ from deepkoco.fit.solve.dispersion import dispersion
 # Squared error over all samples, in variances of the noise: no cause can be named for less than it explains.
 UNSEEN = 24.0
 MOST = 8  # parts of a step
-STEP_ROUNDS = (
-    2  # of a fit and a choice of steps: a fit can hide errors of its steps, which the next one shows
-)
+# Of a fit and a choice of steps: a fit can hide errors of its steps, which the next one shows.
+STEP_ROUNDS = 3
 
 
 def fine_steps(
