@@ -22,6 +22,8 @@ from deepkoco.systems import System
 from deepkoco.systems.channel_delay import ahead_of_latest, latest
 from deepkoco.systems.rollout import RolloutInput
 
+UNEVEN = 10.0  # factor on the unevenness of a step's pieces from which their jumps bend its speeds in full
+
 
 def trajectories(
     system: System,
@@ -107,22 +109,23 @@ def integrate(
 
 
 def _between_jumps(nodes: Nodes, efforts: Efforts, h: float) -> Nodes:
-    """Return nodes whose steps that are cut have, at both ends, accelerations under which they go their way.
+    """Return nodes between which the speeds in steps that are cut add up to the ways of these steps.
 
-    The accelerations of their first and last piece say nothing of the other ones. A speed that is a parabola over the
-    step, with its values at both ends and its integral, is nearest to what was simulated.
+    The accelerations at both ends of a step are the means over its pieces, by their lengths. A speed that is a cubic
+    with them goes nearly the way of a step with one long piece, but not that of a step with a jump in its middle.
     """
     if efforts.length is None:
         return nodes
-    cut = (efforts.length.unflatten(0, (-1, efforts.pieces))[:, 1:] > 0.0).any(1)
+    share = (efforts.length / h).unflatten(0, (-1, efforts.pieces))
+    cut = (UNEVEN * (1.0 - share.square().sum(1))).clamp(0.0, 1.0)
     joints = len(nodes.value) // 2
     left, right = list(nodes.left), list(nodes.right)
     for j in range(joints):
         angle, speed = nodes.value[j], nodes.value[joints + j]
-        mean = (speed[1:] - speed[:-1]) / h
-        bend = 6.0 / h**2 * (angle[1:] - angle[:-1] - 0.5 * h * (speed[1:] + speed[:-1]))
-        left[joints + j] = torch.where(cut, mean + bend, left[joints + j])
-        right[joints + j] = torch.where(cut, mean - bend, right[joints + j])
+        first, last = left[joints + j], right[joints + j]
+        missing = (angle[1:] - angle[:-1]) / h - 0.5 * (speed[1:] + speed[:-1]) - h / 12.0 * (first - last)
+        bend = cut * (6.0 / h) * missing
+        left[joints + j], right[joints + j] = first + bend, last - bend
     return Nodes(nodes.value, tuple(left), tuple(right))
 
 

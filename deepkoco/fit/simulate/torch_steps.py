@@ -77,12 +77,13 @@ def in_torch(equations: Equations, given: StepsInput) -> Nodes:
                     step.angle, step.speed, drive.efforts[2], None, drive.times[2], equations.smoothing
                 )
                 after = equations.memory.advanced(remembered, angle, now)
+            if live is not None:
+                step = _counted(step, h / given.step, whole)
             if whole is not None and live is not None:
                 # Where there is no such piece, everything stays.
                 step = _where(live, step, whole)
                 after = tuple(torch.where(live, a, b) for a, b in zip(after, remembered, strict=True))
-            first = step.first if whole is None else whole.first
-            whole, remembered = step._replace(first=first), after
+            whole, remembered = step, after
             angle, speed, rest = step.angle, step.speed, step.rest
         assert whole is not None
         angles.append(angle)
@@ -139,6 +140,15 @@ def _one_step(
     if len(rows):
         return _corrected_in(rows, equations, step, angle, speed, drive, direction, h)
     return step
+
+
+def _counted(step: Step, share: StepLength, before: Step | None) -> Step:
+    """Return a step whose accelerations count by its share of the whole one, with those of the pieces before."""
+    first, last = (tuple(share * a for a in ends) for ends in (step.first, step.last))
+    if before is not None:
+        first = tuple(a + b for a, b in zip(first, before.first, strict=True))
+        last = tuple(a + b for a, b in zip(last, before.last, strict=True))
+    return step._replace(first=first, last=last)
 
 
 def _where(live: Tensor, step: Step, before: Step) -> Step:

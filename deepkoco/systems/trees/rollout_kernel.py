@@ -316,8 +316,12 @@ def tree_rollout(
                         angle[k, i] = q[k, i] if live[i] else angle[k, i]
                         speed[k, i] = v[k, i] if live[i] else speed[k, i]
                     for i in range(size):
-                        left[k, n, at + i] = first[k, i] if piece == 0 else left[k, n, at + i]
-                        right[k, n, at + i] = last[k, i] if live[i] else right[k, n, at + i]
+                        if not live[i]:
+                            continue
+                        # A piece counts by its length: without one, nothing changes.
+                        share = h[i] / step
+                        left[k, n, at + i] = share * first[k, i] + (left[k, n, at + i] if piece > 0 else 0.0)
+                        right[k, n, at + i] = share * last[k, i] + (right[k, n, at + i] if piece > 0 else 0.0)
                 for i in range(LANES):
                     since[i] += h[i]
             for k in range(joints):

@@ -358,10 +358,10 @@ def roll(
             for j in range(joints):
                 a, b = table[after_rows[2 * joints + j]], table[after_rows[3 * joints + j]]
                 for i in range(n):
-                    if not later_piece:
-                        first[j, k, at + i] = a[i]
-                    if live[i]:
-                        last[j, k, at + i] = b[i]
+                    if live[i]:  # a piece counts by its length
+                        part = long[i] / h
+                        first[j, k, at + i] = part * a[i] + (first[j, k, at + i] if later_piece else 0.0)
+                        last[j, k, at + i] = part * b[i] + (last[j, k, at + i] if later_piece else 0.0)
             for s in range(2 * joints):
                 own, other = table[state_rows[s]], table[after_rows[s]]
                 for i in range(n):
