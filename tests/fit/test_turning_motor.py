@@ -55,12 +55,12 @@ def advanced(angle, speed, command, h):
     return angle, speed
 
 
-@pytest.fixture(scope="module")
-def log():
-    """Commands that jump every 40 to 300 ms, and the angle of an encoder."""
+def logged(dither):
+    """Commands that jump every 40 to 300 ms and change a little with each row, and the angle of an encoder."""
     rng = np.random.default_rng(20003)
     n = RATE * SECONDS
     u = np.repeat(rng.uniform(-0.4, 0.4, n), rng.integers(40, 300, n))[:n]
+    u = u + dither * np.random.default_rng(1).uniform(-1.0, 1.0, n)
     states = [(0.0, 0.0)]
     for command in u[:-1]:
         states.append(advanced(*states[-1], command, 1.0 / RATE))
@@ -69,14 +69,22 @@ def log():
     return Recording({"duty": Series(t, u, "1", "command"), "angle": Series(t, angle, "rad", "measurement")})
 
 
-def test_a_motor_at_1_khz_that_turns_is_simulated_as_exactly_as_its_encoder_shows(log):
+@pytest.fixture(scope="module")
+def log():
+    return logged(0.0)
+
+
+# Steps that hold several commands take these as a line; where rows repeat a command, steps are cut where it changes.
+@pytest.mark.parametrize(("dither", "lines"), [(1e-3, True), (0.0, False)])
+def test_a_motor_at_1_khz_that_turns_is_simulated_as_exactly_as_its_encoder_shows(dither, lines):
     system = ExtendedSystem(Motor(), ())
-    windows = cut_windows([log], system, 1.5)
+    windows = cut_windows([logged(dither)], system, 1.5)
     fit = start = fitted(system, windows)
     for _ in range(STEP_ROUNDS):
         windows = with_steps_cut(windows, fine_steps(partial(FitProblem, system), windows, fit))
         fit = fitted(system, windows)
-    assert start.chi2 > 1.5 * windows.samples
+    # Half of such a step differs little from it in some windows.
+    assert (start.chi2 > 5.0 * windows.samples) is lines
     assert fit.chi2 < 1.1 * windows.samples
 
 
@@ -87,9 +95,9 @@ def test_identify_cuts_the_steps_of_the_motor_until_they_are_fine_enough(log):
     assert friction.low < FRICTION < friction.high
 
 
-def test_a_step_is_compared_with_the_finest_one_where_half_of_it_hides_its_error(log):
+def test_a_step_is_compared_with_the_finest_one_where_half_of_it_hides_its_error():
     system = ExtendedSystem(Motor(), ())
-    windows = cut_windows([log], system, 1.5)
+    windows = cut_windows([logged(1e-3)], system, 1.5)
     coarse = fitted(system, windows)
     # The same parameters with fine steps reach it. By half a step, chi2 / n is (249^(1/2) - 159^(1/2))^2 = 10 at least.
     better = replace(coarse, chi2=1.1 * windows.samples)

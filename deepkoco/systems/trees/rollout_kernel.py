@@ -162,19 +162,8 @@ def tree_rollout(
                     turned[i] = False
                 if len(rubbing) and own_creeps[0, 0, 0] > 0.0:
                     mean_levels(
-                        tree,
-                        own,
-                        effects,
-                        forces,
-                        own_steady,
-                        angle,
-                        speed,
-                        1.0,
-                        efforts,
-                        scratch,
-                        end,
-                        slide,
-                    )
+                        tree, own, effects, forces, own_steady, angle, speed, 1.0, efforts, scratch, end, slide,
+                    )  # fmt: skip
                 for r in range(len(rubbing)):
                     j = rubbing[r]
                     for i in range(LANES):
@@ -209,33 +198,11 @@ def tree_rollout(
                                 inverse[k, j, i] = s[k, LOAD, i]
                     part = 1.0 if impulsive else 0.5  # an engine has the friction of the speed at the start
                     mean_levels(
-                        tree,
-                        own,
-                        effects,
-                        forces,
-                        own_steady,
-                        angle,
-                        speed,
-                        part,
-                        efforts,
-                        scratch,
-                        end,
-                        slide,
-                    )
+                        tree, own, effects, forces, own_steady, angle, speed, part, efforts, scratch, end, slide,
+                    )  # fmt: skip
                     mean_levels(
-                        tree,
-                        own,
-                        effects,
-                        forces,
-                        own_steady,
-                        angle,
-                        speed,
-                        0.0,
-                        efforts,
-                        scratch,
-                        end,
-                        stick,
-                    )
+                        tree, own, effects, forces, own_steady, angle, speed, 0.0, efforts, scratch, end, stick,
+                    )  # fmt: skip
                     for r in range(len(rubbing)):
                         j = rubbing[r]
                         for i in range(LANES):
