@@ -66,10 +66,13 @@ class Near(NamedTuple):
     Attributes:
         values: Parameters near those of the unit.
         wander: Noise of the commands; its windows do not count. None where the logs show none.
+        step: Longest integration step of a machine [s] with which a fit has followed the logs; infinite where the usual
+            one does.
     """
 
     values: Mapping[str, float]
     wander: Wander | None
+    step: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -124,6 +127,11 @@ class Baseline:
         if self.healthy is not None and self.healthy.windows.wander is not None:
             return self.healthy.windows.wander
         return None if self.near is None else self.near.wander
+
+    @property
+    def step(self) -> float:
+        """Longest integration step [s] that is known to follow logs of its recorder; infinite where none is known."""
+        return math.inf if self.near is None else self.near.step
 
     @property
     def least_deflation(self) -> float:

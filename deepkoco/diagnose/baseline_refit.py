@@ -16,7 +16,7 @@ from deepkoco.fit.data.halves import halved
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import ITERATIONS, Fit, FitProblem, Trial
 from deepkoco.fit.solve.command_noise import with_command_noise, with_noise_like
-from deepkoco.fit.solve.fine_steps import MOST, STEP_ROUNDS, fine_steps, with_steps_cut
+from deepkoco.fit.solve.fine_steps import MOST, STEP_ROUNDS, fine_steps, with_steps_cut, with_steps_of
 from deepkoco.fit.solve.frozen_slopes import FrozenSlopes
 from deepkoco.fit.solve.guessed_commands import with_lost_rows_fitted
 from deepkoco.fit.solve.lazy_batch import MANY
@@ -189,6 +189,7 @@ def _first_refit(start: Baseline, windows: Windows, begun: bool = False) -> tupl
         begun: Whether earlier fits of these logs have led to these values.
     """
     names, problem_of = start.prior.names, partial(FitProblem, start.system)
+    windows = with_steps_of(windows, start.step)
     if windows.wander is None:
         # Without it, long windows find no minimum.
         windows = with_noise_like(problem_of, windows, start.values, start.wander)
@@ -234,12 +235,13 @@ def refit_sharply(start: Baseline, windows: Windows, first: Fit | None = None) -
     Raises:
         DivergedError: The simulation diverges at the present values.
     """
+    usual = windows.steps
     if first is None:
         windows, first = first_refit(start, windows)
     fit = refit(start, windows, first=first, tolerance=TO_BEGIN)
     windows = with_sharp_noise(windows, fit)
     windows, fit = with_lost_rows_fitted(partial(FitProblem, start.system), windows, fit, start.prior)
-    left = MOST
+    left = max(MOST * usual // windows.steps, 1)
     for further in reversed(range(STEP_ROUNDS)):
         parts = fine_steps(partial(FitProblem, start.system), windows, fit, left)
         windows, left = with_steps_cut(windows, parts), left // parts

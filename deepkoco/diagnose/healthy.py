@@ -131,7 +131,8 @@ def _learn(
     windows = windows.take(moving(windows))
     start = replace(with_gauges_fixed(baseline_from(system, windows), windows), near=near)
     windows, fit = refit_sharply(start, windows)
-    start = replace(start, near=None)
+    # Its steps suit further logs of the recorder, its values may not.
+    start = replace(start, near=None if near is None else Near({}, None, near.step))
     # Run-to-run variation could be mistaken for an effect that all logs show, and such an effect for variation.
     spread = spread_of(Healthy(tuple(recordings), windows, start, (), fit))
     spread, told = spread.with_floor() if each else spread, spread.healthy
@@ -146,8 +147,8 @@ def _learn(
         progress(f"healthy logs: fitting every cause{in_company_of(c.name for c in accepted)}")
         hints = Hints(start.system, windows, missing_torque(problem, fit), fit.chi2 / windows.samples)
         # Small effects are sought, and none drives a refit far away.
-        ranking = rank(problem, counted, fit, accepted, hints, causes, strong=False)
-        if ranking.best.delta_bic < DETECTION:
+        ranking = rank(problem, counted, fit, accepted, hints, causes, wanted=DETECTION, strong=False)
+        if not ranking.candidates or ranking.best.delta_bic < DETECTION:
             break
         ranking = front_settled(problem, counted, accepted, ranking)
         best = ranking.best

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -182,7 +183,9 @@ class LeftOfLogs:
             wander = with_command_noise(
                 partial(FitProblem, start.system), windows, values, windows.state
             ).wander
-        return Near(known, None if wander is None else wander.take(torch.zeros(0, dtype=torch.long)))
+        wander = None if wander is None else wander.take(torch.zeros(0, dtype=torch.long))
+        step = self.windows.step / self._parts if self._parts > 1 else math.inf
+        return Near(known, wander, step)
 
     def undisturbed(self) -> Windows:
         """The windows of which no more is left than of most: in the others something happened, such as a push.

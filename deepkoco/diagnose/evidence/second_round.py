@@ -84,6 +84,21 @@ def promising_there(here: Sequence[StartPoint], there: Sequence[StartPoint]) -> 
     return distinct
 
 
+def within_reach(
+    points: Sequence[StartPoint], charge: Mapping[str, float], least: float
+) -> list[StartPoint]:
+    """Return starts whose causes could be named if a fit reached ``MARGIN`` times what slopes promise, and all pushes.
+
+    A push gains by another time, which no slope tells.
+
+    Args:
+        points: Starts.
+        charge: Cause -> fall of the cost that it needs for its parameters.
+        least: Fall of the cost beyond that from which a cause is named.
+    """
+    return [p for p in points if p.cause.searched or MARGIN * p.promise - charge[p.cause.name] > least]
+
+
 def without_hopeless_slow(
     points: Sequence[StartPoint], slow: set[str], charge: Mapping[str, float]
 ) -> list[StartPoint]:

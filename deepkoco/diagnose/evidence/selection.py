@@ -41,7 +41,12 @@ from deepkoco.diagnose.evidence.promising import (
 )
 from deepkoco.diagnose.evidence.ranking import Ranking, penalty, ranked
 from deepkoco.diagnose.evidence.screening import Linearised, StartPoint, screen
-from deepkoco.diagnose.evidence.second_round import can_gain, promising_there, without_hopeless_slow
+from deepkoco.diagnose.evidence.second_round import (
+    can_gain,
+    promising_there,
+    within_reach,
+    without_hopeless_slow,
+)
 from deepkoco.diagnose.evidence.slips import HOPELESS, slipped
 from deepkoco.diagnose.evidence.start_values import Hints
 from deepkoco.diagnose.progress import in_company_of
@@ -87,7 +92,8 @@ def rank(
         causes: Causes to try; None tries the whole catalogue.
         limit: Asked before a second round of fits; None allows it.
         worth: Fall of the cost that a cause needs; those that will fall short of it are not fitted to the end.
-        wanted: Fall of the BIC from which a cause is named; there is no second round of fits where slopes tell that
+        wanted: Fall of the BIC from which a cause is named; 0 for a ranking of all causes. Of many parameters, causes
+            that slopes keep far from it are not fitted, and there is no second round of fits where slopes tell that
             none can be.
         cross: Whether candidates and reference are also fitted from each other's optimum (:mod:`.crossed`).
         strong: Whether a cause may be so strong that it drives the reference far from the true parameters.
@@ -124,6 +130,8 @@ def rank(
                 [p for p in promises if kind_of(p.cause.name) not in FLEXIBLE_CAUSES]
             )
         promising = best_of_each_place(without_hopeless_slow(promising, slow, charge), charge)
+        if wanted > 0.0:
+            promising = within_reach(promising, charge, spread.deflation * wanted)
     # Parameters that healthy logs freed are already part of the linearisation, so the score test underrates them.
     known, found = set(start.prior.names), {p.cause.name for p in promising}
     underrated = [

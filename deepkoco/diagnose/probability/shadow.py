@@ -105,7 +105,7 @@ def weighing_of(request: DiagnosisRequest, base: Refitted, acted: Windows | None
         problem, reference = _acting(base.problem, base.reference, base.start, acted)
         return weighing(problem, reference, base.start, causes)
     # The recorder is that of the healthy logs.
-    before = replace(healthy.before, near=Near({}, healthy.windows.wander))
+    before = replace(healthy.before, near=Near({}, healthy.windows.wander, healthy.before.step))
     windows, reference = refit_sharply(before, request.data.train)
     problem = FitProblem(healthy.before.system, windows)
     problem, reference = _acting(problem, reference, healthy.before, acted)

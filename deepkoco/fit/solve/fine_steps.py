@@ -22,6 +22,7 @@ from deepkoco.fit.solve.dispersion import dispersion
 # Squared error over all samples, in variances of the noise: no cause can be named for less than it explains.
 UNSEEN = 24.0
 MOST = 8  # parts of a step
+EQUAL = 0.05  # relative difference of steps of windows of different lengths
 # Of a fit and a choice of steps: a fit can hide errors of its steps, which the next one shows.
 STEP_ROUNDS = 3
 
@@ -90,6 +91,19 @@ def with_steps_cut(windows: Windows, parts: int) -> Windows:
     if windows.own_steps:
         return windows
     return replace(windows, step=windows.step / parts, steps=windows.steps * parts)
+
+
+def with_steps_of(windows: Windows, step: float) -> Windows:
+    """Return windows whose integration steps are at most so long; steps of the system's own stay.
+
+    Args:
+        windows: The windows.
+        step: Longest step [s]; infinite for any.
+    """
+    parts = 1
+    while parts < MOST and windows.step / parts > step * (1.0 + EQUAL):
+        parts *= 2
+    return with_steps_cut(windows, parts)
 
 
 def _simulated(

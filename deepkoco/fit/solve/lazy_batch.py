@@ -172,6 +172,11 @@ class LazyBatch(Batch):
         self.slopes[k] = slopes
         return self._built(k, normal.residual, points[0][k], points[2][k])
 
+    def _tolerance(self, k: int) -> float:
+        """As for few parameters, for each of them: so far from the minimum, each is off by a seventh of its deviation."""
+        each = min(self.tolerance, TOLERANCE) * len(self.trials[k].free)
+        return super()._tolerance(k) * max(1.0, each / self.tolerance)
+
     def _ask_for_slopes(self, k: int, whole: bool = False) -> bool:
         """Let the next simulations give slopes at the best point, if the trial may have them: first those that matter.
 

@@ -33,6 +33,7 @@ PLENTY = 200.0  # information by which they show noise plainly, likewise
 SHOWS = 30.0  # information by which they show noise, as the mean fall of minus twice the log likelihood
 PLACES = 3  # of each window, from which so many samples are taken
 MOST_PLACES = 60  # in all
+FIRST = 3  # one of so many of them is asked first, which can tell plainly that there is no noise
 FEW = 0.3  # share of the places that may be such as nothing of the commands explains
 SAME = 1e-9  # relative size of a direction that others span
 # Of the variance that no smooth command has, as noise; a command that acted as it is has none.
@@ -106,15 +107,22 @@ def shown_noise(
     states = tangent.slopes(simulated(problem, [tangent], fit.nuisance[None]), problem)  # (S, W, N, M)
     asked = [s for s in SHORT if s <= int(windows.valid[:, shown].sum(-1).max())]
     answers = partial(_short_answers, problem_of, windows, fit, most, shown, states)
+    if not asked:
+        return Shown.nothing()
+    places = _places(windows, shown, asked[-1])
+    found = answers(asked[-1], places[::FIRST])
+    if _tells(found, PLENTY) and (share := _share_of_directions(found)) is not None and share < SMALLEST:
+        return Shown.nothing()
     # The longest stretches show the most: where they show nothing, shorter ones need not be asked.
-    if not asked or not _tells(found := answers(asked[-1])):
+    found += answers(asked[-1], [own for k, own in enumerate(places) if k % FIRST])
+    if not _tells(found):
         return Shown.nothing()
     seen = [found]
     share = _share_of_directions(found)
     if share is not None and share <= LARGER:
         return _shown(seen, share) if share >= SMALLEST else Shown.nothing()
     for short in asked[:-1]:
-        seen.append(answers(short))
+        seen.append(answers(short, _places(windows, shown, short)))
         if _tells(seen[-1], PLENTY):
             found = seen[-1]
             break
@@ -196,6 +204,19 @@ def _slope(seen: list[list[Answer]]) -> tuple[float, float]:
     return float((along * whole / spread).sum()) / max(information, EARLY), information
 
 
+def _places(windows: Windows, shown: list[int], short: int) -> list[tuple[int, int]]:
+    """Return windows and first samples of stretches of so many samples in a row, evenly chosen."""
+    counts = windows.valid[:, shown].sum(-1).amin(1).numpy()
+    places = [
+        (w, int(at))
+        for w, n in enumerate(counts)
+        if n >= short
+        for at in np.unique(np.linspace(0, n - short, min(PLACES, n // short)).astype(int))
+    ]
+    some = np.unique(np.linspace(0, len(places) - 1, min(MOST_PLACES, len(places))).astype(int))
+    return [places[k] for k in some]
+
+
 def _short_answers(
     problem_of: Callable[[Windows], FitProblem],
     windows: Windows,
@@ -204,6 +225,7 @@ def _short_answers(
     shown: list[int],
     states: Tensor,
     short: int,
+    places: Sequence[tuple[int, int]],
 ) -> list[Answer]:
     """Return what some samples in a row say at each place, without what their state and a smooth load explain.
 
@@ -212,18 +234,11 @@ def _short_answers(
         shown: Channels that count.
         states: (S, W, N, M) weighted moves by the initial states.
         short: How many samples.
+        places: Windows, and the first of these samples in each.
     """
-    clock, counts = shown[0], windows.valid[:, shown].sum(-1).amin(1).numpy()
-    places = [
-        (w, int(at))
-        for w, n in enumerate(counts)
-        if n >= short
-        for at in np.unique(np.linspace(0, n - short, min(PLACES, n // short)).astype(int))
-    ]
+    clock = shown[0]
     if not places:
         return []
-    some = np.unique(np.linspace(0, len(places) - 1, min(MOST_PLACES, len(places))).astype(int))
-    places = [places[k] for k in some]
     rows, begin = np.array(places).T
     t, weight = windows.t[:, clock].numpy(), problem_of(windows).weight
     length = float(np.median(t[rows, begin + short - 1] - t[rows, begin]))
