@@ -19,6 +19,7 @@ from deepkoco.fit.fit import Fit, FitProblem, Trial
 
 AROUND = 6  # further starts
 PATIENCE = 40  # iterations of each
+FIRST, LEADING = 10, 2  # iterations of fits of many parameters, after which so many of them go on
 
 
 def around(problem: FitProblem, trial: Trial, fit: Fit, deflation: float) -> list[Trial]:
@@ -78,6 +79,10 @@ def lowest_around(
     if candidate.fit.chi2 <= start.most_noise(windows) * windows.samples:
         return candidate
     trials = around(problem, trial_at(problem, start, accepted, candidate), candidate.fit, deflation)
+    if problem.keeps_slopes(trials):
+        scouts = problem.fit(trials, FIRST)
+        ahead = sorted(range(len(scouts)), key=lambda k: scouts[k].cost)[:LEADING]
+        trials = [trials[k].from_fit(scouts[k]) for k in ahead]
     for fit in problem.fit(trials, PATIENCE):
         candidate = with_better_fit(candidate, fit, deflation)
     return candidate

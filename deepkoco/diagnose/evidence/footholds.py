@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -20,6 +21,8 @@ ITERATIONS = 14
 ALONE = 6  # iterations of a cause alone, which only choose among starts
 SCOUTING = 4  # iterations after which only the best starts of each cause are continued
 AHEAD = 2  # how many of a cause alone
+LED = 6  # causes that explain most alone, which are fitted with all parameters in any case
+NEAR_BEST = 4.0  # cost of a cause alone, over the best one's, up to which it is too
 CLOSE = 0.2  # fall of the cost per iteration below which a candidate has converged
 
 
@@ -46,6 +49,8 @@ def alone(
 ) -> list[Trial]:
     """Return trials that start where the parameters of their causes alone fit best, one for each cause.
 
+    With known slopes, as many parameters have, only causes that explain much alone.
+
     The baseline's parameters could otherwise absorb a cause as they did in the refit. A cause that is searched in time
     has many starts; those that are far behind its best ones after a few iterations are not continued.
     """
@@ -66,7 +71,26 @@ def alone(
     for trial, fit in zip(trials, fits, strict=True):
         if trial.name not in best or fit.cost < best[trial.name][1].cost:
             best[trial.name] = (trial, fit)
+    if known is not None:
+        # With all parameters, each of them costs as much as all causes alone.
+        ahead = leading([fit for _, fit in best.values()], LED, NEAR_BEST)
+        best = {name: own for name, own in best.items() if name in ahead}
     return [t.from_fit(fit) for t, fit in best.values()]
+
+
+def leading(fits: Sequence[Fit], count: int, times: float = 1.0) -> set[str]:
+    """Return the names of the fits of least cost, and of all whose cost is at most some times the least.
+
+    Args:
+        fits: The fits; several may have one name.
+        count: How many names at least.
+        times: Factor on the least cost.
+    """
+    costs: dict[str, float] = {}
+    for fit in fits:
+        costs[fit.name] = min(costs.get(fit.name, np.inf), fit.cost)
+    order = sorted(costs, key=lambda name: costs[name])
+    return {n for k, n in enumerate(order) if k < count or costs[n] <= times * costs[order[0]]}
 
 
 def from_halves(

@@ -84,9 +84,7 @@ def promising_there(here: Sequence[StartPoint], there: Sequence[StartPoint]) -> 
     return distinct
 
 
-def within_reach(
-    points: Sequence[StartPoint], charge: Mapping[str, float], least: float
-) -> list[StartPoint]:
+def within_reach(points: Sequence[StartPoint], charge: Mapping[str, float], least: float) -> list[StartPoint]:
     """Return starts whose causes could be named if a fit reached ``MARGIN`` times what slopes promise, and all pushes.
 
     A push gains by another time, which no slope tells.

@@ -173,7 +173,7 @@ class LazyBatch(Batch):
         return self._built(k, normal.residual, points[0][k], points[2][k])
 
     def _tolerance(self, k: int) -> float:
-        """As for few parameters, for each of them: so far from the minimum, each is off by a seventh of its deviation."""
+        """As for few parameters, times their number: each may then be off by a seventh of its standard deviation."""
         each = min(self.tolerance, TOLERANCE) * len(self.trials[k].free)
         return super()._tolerance(k) * max(1.0, each / self.tolerance)
 
