@@ -25,7 +25,13 @@ PERIODS = 51  # of a command in a window: halves of a machine cut one in two, th
 def test_steps_that_are_too_long_are_not_left_of_a_machine(tmp_path):
     # An engine has shorter steps of its own: 5.1 noise variances of long steps would speak for any of them.
     system, windows = fine_arm(tmp_path)
-    assert LeftOfLogs(seen(windows, 3e-5))(system.base).per_sample < 1.2
+    asked = LeftOfLogs(seen(windows, 3e-5))
+    left = asked(system.base)
+    assert left.per_sample < 1.2
+    # A refit begins in these steps.
+    near = asked.near(system.base, left)
+    assert near is not None
+    assert near.step <= 0.5 * windows.step
 
 
 @pytest.fixture(scope="module")

@@ -14,10 +14,11 @@ from deepkoco.fit.data.halves import halved
 from deepkoco.fit.data.wander import Wander, compressed, joined
 from deepkoco.fit.data.windows import cut_windows, moving
 from deepkoco.fit.fit import FitProblem
+from deepkoco.fit.solve import shown_noise
 from deepkoco.fit.solve.command_noise import noise_of_commands, with_command_noise
 from deepkoco.fit.solve.dispersion import dispersion
 from deepkoco.fit.solve.residual_noise import with_sharp_noise
-from deepkoco.fit.solve.shown_noise import Answer, _share_of_directions
+from deepkoco.fit.solve.shown_noise import FIRST, Answer, _share_of_directions
 from deepkoco.systems import make_system
 from deepkoco.unit import make_unit
 
@@ -219,3 +220,22 @@ def test_what_is_near_counts_for_the_free_parameters_alone():
     near = replace(start, near=Near({"gravity_torque": 2.0, "lag.time_constant": 0.3}, None)).begun()
     assert near.values["gravity_torque"] == 2.0
     assert near.values["lag.time_constant"] == start.values["lag.time_constant"]
+
+
+@pytest.mark.parametrize("noisy", [False, True])
+def test_a_few_places_tell_that_there_is_no_noise_and_all_of_them_how_much(noisy, monkeypatch):
+    counts, usual = [], shown_noise._short_answers
+
+    def answers(*given):
+        counts.append(len(given[-1]))
+        return usual(*given)
+
+    monkeypatch.setattr(shown_noise, "_short_answers", answers)
+    unit = make_unit("torque_pendulum", sensor={"rate_hz": 200.0}, seed=3)
+    rough = record(unit, "prbs", 20.0, clock="simulated", seed=3)
+    windows = asked(measured(log()) if noisy else rough)
+    assert (windows.wander is not None) == noisy
+    if noisy:
+        assert sum(counts[:2]) > (FIRST - 0.5) * counts[0]
+    else:
+        assert len(counts) == 1

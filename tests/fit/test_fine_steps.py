@@ -1,5 +1,6 @@
 """Integration steps that are chosen by the log: their error is less than what the log can tell."""
 
+import math
 from dataclasses import replace
 from functools import partial
 
@@ -9,7 +10,14 @@ import torch
 pytest.importorskip("mujoco")
 
 from deepkoco.fit.fit import FitProblem
-from deepkoco.fit.solve.fine_steps import UNSEEN, fine_steps, steps_to_compare, with_steps_cut
+from deepkoco.fit.solve.fine_steps import (
+    MOST,
+    UNSEEN,
+    fine_steps,
+    steps_to_compare,
+    with_steps_cut,
+    with_steps_of,
+)
 from tests.oracle.fine_arm import EXACT, fine_arm, fit_of, seen, simulated
 
 
@@ -61,3 +69,14 @@ def test_a_fit_is_compared_on_steps_whose_errors_cannot_change_its_place(unit):
     # A misfit that is larger by more than the errors explain stays larger.
     hopeless = replace(fit, chi2=fit.chi2 + 1e6 * told[0])
     assert steps_to_compare(problem_of, windows, hopeless, fit) == 1
+
+
+def test_windows_get_the_steps_that_others_of_their_recorder_need(unit):
+    windows = unit[1]
+    assert with_steps_of(windows, math.inf) is windows
+    assert with_steps_of(windows, 0.98 * windows.step).steps == windows.steps
+    assert with_steps_of(windows, 0.5 * windows.step).steps == 2 * windows.steps
+    assert with_steps_of(windows, 0.3 * windows.step).steps == 4 * windows.steps
+    assert with_steps_of(windows, 1e-9).steps == MOST * windows.steps
+    own = replace(windows, own_steps=True)
+    assert with_steps_of(own, 0.3 * windows.step).steps == windows.steps

@@ -203,3 +203,21 @@ def test_a_damping_that_was_too_little_is_not_tried_again_after_the_next_step(ar
     tried.clear()
     LazyBatch(arm, [trial.from_fit(fit)], TOLERANCE).run(25)
     assert tried[0] == fit.damping
+
+
+def test_a_fit_of_many_parameters_ends_where_each_is_near_its_minimum(arm, trial):
+    many = LazyBatch(arm, [trial], 0.02)
+    fine, found = LazyBatch(arm, [trial], 1e-6).run(60)[0], many.run(60)[0]
+    assert found.converged
+    assert len(found.history) <= len(fine.history)
+    assert found.cost - fine.cost < 0.02 * len(trial.free) * max(1.0, found.chi2 / arm.windows.samples)
+    sd = np.sqrt(np.diag(fine.covariance))
+    off = [(found.values[n] - fine.values[n]) / s for n, s in zip(fine.free, sd, strict=True)]
+    assert np.sqrt(np.mean(np.square(off))) < 0.3
+
+
+@pytest.mark.parametrize(("asked", "each"), [(0.02, 0.02), (1e-4, 1e-4), (0.2, 0.02)])
+def test_the_tolerance_is_that_of_each_parameter_but_no_less_than_what_is_asked_for(arm, trial, asked, each):
+    batch = LazyBatch(arm, [trial], asked)
+    batch.cost[0] = 1.0
+    assert batch._tolerance(0) == pytest.approx(max(asked, each * len(trial.free)))

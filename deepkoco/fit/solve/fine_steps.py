@@ -103,7 +103,7 @@ def with_steps_of(windows: Windows, step: float) -> Windows:
     parts = 1
     while parts < MOST and windows.step / parts > step * (1.0 + EQUAL):
         parts *= 2
-    return with_steps_cut(windows, parts)
+    return with_steps_cut(windows, parts) if parts > 1 else windows
 
 
 def _simulated(
