@@ -97,7 +97,8 @@ class Baseline:
             the correlation is not part of it.
         early: Time by which the commands of its logs act before their rows [s]; see
             :mod:`deepkoco.diagnose.between_rows`.
-        near: What earlier fits of the logs have told, from which the next ones begin; None for none.
+        near: What earlier fits of the logs have told, from which the next ones begin; None for none. One that was
+            learned from healthy logs keeps the step alone.
     """
 
     system: ExtendedSystem

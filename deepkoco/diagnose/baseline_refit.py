@@ -218,7 +218,9 @@ def few_windows(windows: Windows, parameters: int) -> np.ndarray:
     return np.unique(np.linspace(0, size - 1, most).astype(int))
 
 
-def refit_sharply(start: Baseline, windows: Windows, first: Fit | None = None) -> tuple[Windows, Fit]:
+def refit_sharply(
+    start: Baseline, windows: Windows, first: Fit | None = None, usual: int | None = None
+) -> tuple[Windows, Fit]:
     """Refit, estimate the noise from the residuals, and refit once more under that noise, with steps fine enough.
 
     Commands in the place of lost rows are fitted with it. Where more than noise is left, the noise then contains what
@@ -228,6 +230,7 @@ def refit_sharply(start: Baseline, windows: Windows, first: Fit | None = None) -
         start: Prior and present values.
         windows: The windows.
         first: The fit on half windows, where it is known.
+        usual: Integration steps of a window before any are cut; None for those that it has.
 
     Returns:
         The windows under the estimated noise, and the refit to them.
@@ -235,7 +238,7 @@ def refit_sharply(start: Baseline, windows: Windows, first: Fit | None = None) -
     Raises:
         DivergedError: The simulation diverges at the present values.
     """
-    usual = windows.steps
+    usual = windows.steps if usual is None else usual
     if first is None:
         windows, first = first_refit(start, windows)
     fit = refit(start, windows, first=first, tolerance=TO_BEGIN)
@@ -243,7 +246,7 @@ def refit_sharply(start: Baseline, windows: Windows, first: Fit | None = None) -
     windows, fit = with_lost_rows_fitted(partial(FitProblem, start.system), windows, fit, start.prior)
     left = max(MOST * usual // windows.steps, 1)
     for further in reversed(range(STEP_ROUNDS)):
-        parts = fine_steps(partial(FitProblem, start.system), windows, fit, left)
+        parts = fine_steps(partial(FitProblem, start.system), windows, fit, left) if left > 1 else 1
         windows, left = with_steps_cut(windows, parts), left // parts
         trial = Trial("refit", fit.free, start.prior, fit.values).from_fit(fit)
         last = parts == 1 or not further

@@ -21,6 +21,7 @@ from deepkoco.fit.data.windows import Windows, cut_windows, moving
 from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.fit.solve.command_noise import with_command_noise, with_noise_like
 from deepkoco.fit.solve.dispersion import dispersion
+from deepkoco.fit.solve.fine_steps import with_steps_of
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.logs.between_rows import changes_often, with_early_commands
 from deepkoco.logs.recording import Recording
@@ -132,7 +133,7 @@ def _is_row_of_samples(recording: Recording) -> bool:
 def _lead(start: Baseline, windows: Windows, row: float) -> float:
     """Return the lead [s] of commands that are logged every row [s]."""
     names, problem_of = start.prior.names, partial(FitProblem, start.system)
-    asked, start = start.near is not None, start.begun()
+    asked, start, windows = start.near is not None, start.begun(), with_steps_of(windows, start.step)
     windows = with_noise_like(problem_of, windows, start.values, start.wander)
     held = (on_half_windows if asked else from_shorter_windows)(start, windows, names)
     if held.chi2 <= white_limit(windows) * windows.samples:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -132,7 +133,7 @@ def _learn(
     start = replace(with_gauges_fixed(baseline_from(system, windows), windows), near=near)
     windows, fit = refit_sharply(start, windows)
     # Its steps suit further logs of the recorder, its values may not.
-    start = replace(start, near=None if near is None else Near({}, None, near.step))
+    start = replace(start, near=Near({}, None, start.step) if math.isfinite(start.step) else None)
     # Run-to-run variation could be mistaken for an effect that all logs show, and such an effect for variation.
     spread = spread_of(Healthy(tuple(recordings), windows, start, (), fit))
     spread, told = spread.with_floor() if each else spread, spread.healthy

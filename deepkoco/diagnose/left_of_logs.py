@@ -26,7 +26,7 @@ from deepkoco.fit.data.own_steps import in_steps_of
 from deepkoco.fit.data.windows import CommandSeries, Windows
 from deepkoco.fit.fit import ITERATIONS, Fit, FitProblem, Trial
 from deepkoco.fit.solve.command_noise import LEFT, with_command_noise, with_noise_like
-from deepkoco.fit.solve.fine_steps import fine_steps, with_steps_cut
+from deepkoco.fit.solve.fine_steps import MOST, fine_steps, parts_of, with_steps_cut
 from deepkoco.fit.solve.lazy_batch import MANY
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.systems import System
@@ -107,7 +107,7 @@ class LeftOfLogs:
         self._near = near
         self._values: dict[str, float] = {} if near is None else {**near.values}
         self._each = np.zeros(len(windows))  # chi2 per sample of each window that the last refit saw
-        self._parts = 1  # of a step of the machine
+        self._parts = 1 if near is None else parts_of(windows, near.step)  # of a step of the machine
         self._on_time: dict[tuple[str | None, tuple[str, ...]], OnTime] = {}
         self._last: tuple[Baseline, Windows, Fit] | None = None  # refit, under the present noise
         self._slopes: SlopesOfHalves | None = None
@@ -137,7 +137,7 @@ class LeftOfLogs:
             # Steps that are too long for these logs leave something, too, and an engine's own are shorter.
             problem_of = partial(FitProblem, start.system)
             halves = halved(windows.take(few_windows(windows, len(names))))
-            parts = fine_steps(problem_of, halves, fit)
+            parts = fine_steps(problem_of, halves, fit, MOST // self._parts) if self._parts < MOST else 1
             if parts > 1:
                 self._parts *= parts
                 trial = Trial("fine steps", names, start.prior, fit.values, fit.state, fit.nuisance)

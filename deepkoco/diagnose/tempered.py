@@ -60,6 +60,7 @@ def refit_to_windows(start: Baseline, windows: Windows) -> tuple[Baseline, Windo
     # Healthy logs of the unit show its sizes, and their model error is part of the prior.
     if start.healthy is not None or len(start.prior.names) + windows.state.shape[1] < MANY:
         return start, *refit_sharply(start, windows)
+    usual = windows.steps
     try:
         windows, first = first_refit(start, windows)
     except DivergedError:
@@ -70,7 +71,7 @@ def refit_to_windows(start: Baseline, windows: Windows) -> tuple[Baseline, Windo
         found = _from_other_sizes(start, windows)
         if found is not None:
             return found
-    return start, *refit_sharply(start, windows, first)
+    return start, *refit_sharply(start, windows, first, usual)
 
 
 def tempered_to(

@@ -1,17 +1,22 @@
-"""Which causes alone are worth a fit with all parameters."""
+"""Which causes are worth a fit, and which of them one with all parameters."""
 
 from dataclasses import replace
 
 import pytest
 
 from deepkoco.diagnose.baseline import baseline_from
+from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.evidence.footholds import LED, NEAR_BEST, leading
+from deepkoco.diagnose.evidence.promising import within_reach
+from deepkoco.diagnose.evidence.screening import StartPoint
 from deepkoco.fit.data.windows import cut_windows
 from deepkoco.fit.fit import FitProblem
 from deepkoco.systems import make_system
 from tests.oracle.unit import hidden_log
 
 SYSTEM = make_system("rod_pendulum")
+CAUSES = catalogue(SYSTEM)
+COULOMB, VISCOUS = CAUSES["coulomb"], CAUSES["viscous"]
 
 
 @pytest.fixture(scope="module")
@@ -39,3 +44,11 @@ def test_a_cause_counts_by_its_best_start(fit):
     costs = [("a", 1e9), ("b", 10.0), ("a", 1.0), ("c", 100.0), ("diverged", float("inf"))]
     assert leading(fits(fit, costs), 2) == {"a", "b"}
     assert leading([], 2) == set()
+
+
+def test_causes_that_slopes_keep_far_from_a_name_are_not_fitted():
+    event = next(c for c in CAUSES.values() if c.searched)
+    charge = {c.name: 10.0 for c in (COULOMB, VISCOUS, event)}
+    points = [StartPoint(COULOMB, {}, 20.0), StartPoint(VISCOUS, {}, 15.0), StartPoint(event, {}, 1.0)]
+    assert within_reach(points, charge, 24.0) == [points[0], points[2]]
+    assert within_reach([], charge, 24.0) == []

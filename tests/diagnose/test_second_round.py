@@ -9,12 +9,7 @@ from deepkoco.diagnose.baseline import baseline_from
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.data import cut_data
 from deepkoco.diagnose.evidence.screening import StartPoint
-from deepkoco.diagnose.evidence.second_round import (
-    can_gain,
-    promising_there,
-    within_reach,
-    without_hopeless_slow,
-)
+from deepkoco.diagnose.evidence.second_round import can_gain, promising_there, without_hopeless_slow
 from deepkoco.fit.fit import FitProblem, Trial
 from deepkoco.systems import any_system
 from tests.fit.identify_logs import rod_log
@@ -92,11 +87,3 @@ def test_a_slow_effect_is_fitted_only_where_it_leads():
     points = [StartPoint(COULOMB, {}, 100.0), StartPoint(VISCOUS, {}, 50.0)]
     assert without_hopeless_slow(points, {VISCOUS.effect}, charge) == points[:1]
     assert without_hopeless_slow(points, {COULOMB.effect}, charge) == points
-
-
-def test_causes_that_slopes_keep_far_from_a_name_are_not_fitted():
-    event = next(c for c in CAUSES.values() if c.searched)
-    charge = {c.name: 10.0 for c in (COULOMB, VISCOUS, event)}
-    points = [StartPoint(COULOMB, {}, 20.0), StartPoint(VISCOUS, {}, 15.0), StartPoint(event, {}, 1.0)]
-    assert within_reach(points, charge, 24.0) == [points[0], points[2]]
-    assert within_reach([], charge, 24.0) == []

@@ -19,7 +19,8 @@ from deepkoco.fit.fit import Fit, FitProblem, Trial
 
 AROUND = 6  # further starts
 PATIENCE = 40  # iterations of each
-FIRST, LEADING = 10, 2  # iterations of fits of many parameters, after which so many of them go on
+# Iterations of fits of many parameters, after which so many of those that have not ended go on.
+FIRST, LEADING = 10, 2
 
 
 def around(problem: FitProblem, trial: Trial, fit: Fit, deflation: float) -> list[Trial]:
@@ -68,6 +69,8 @@ def lowest_around(
 ) -> Candidate:
     """Return a candidate with the lowest of the minima around its own, where it leaves more than this unit does.
 
+    Of fits of many parameters, those that lead after some iterations are continued.
+
     Args:
         problem: The windows.
         start: The baseline.
@@ -81,8 +84,11 @@ def lowest_around(
     trials = around(problem, trial_at(problem, start, accepted, candidate), candidate.fit, deflation)
     if problem.keeps_slopes(trials):
         scouts = problem.fit(trials, FIRST)
-        ahead = sorted(range(len(scouts)), key=lambda k: scouts[k].cost)[:LEADING]
-        trials = [trials[k].from_fit(scouts[k]) for k in ahead]
+        for fit in scouts:
+            candidate = with_better_fit(candidate, fit, deflation)
+        going_on = [k for k, fit in enumerate(scouts) if not (fit.converged or fit.diverged)]
+        going_on = sorted(going_on, key=lambda k: scouts[k].cost)[:LEADING]
+        trials = [trials[k].from_fit(scouts[k]) for k in going_on]
     for fit in problem.fit(trials, PATIENCE):
         candidate = with_better_fit(candidate, fit, deflation)
     return candidate

@@ -22,7 +22,9 @@ ALONE = 6  # iterations of a cause alone, which only choose among starts
 SCOUTING = 4  # iterations after which only the best starts of each cause are continued
 AHEAD = 2  # how many of a cause alone
 LED = 6  # causes that explain most alone, which are fitted with all parameters in any case
-NEAR_BEST = 4.0  # cost of a cause alone, over the best one's, up to which it is too
+NEAR_BEST = (
+    4.0  # times the least cost of a cause alone, up to which others are fitted with all parameters, too
+)
 CLOSE = 0.2  # fall of the cost per iteration below which a candidate has converged
 
 
@@ -49,7 +51,7 @@ def alone(
 ) -> list[Trial]:
     """Return trials that start where the parameters of their causes alone fit best, one for each cause.
 
-    With known slopes, as many parameters have, only causes that explain much alone.
+    Where slopes are known (fits of many parameters), only the causes whose fits alone cost least are returned.
 
     The baseline's parameters could otherwise absorb a cause as they did in the refit. A cause that is searched in time
     has many starts; those that are far behind its best ones after a few iterations are not continued.
@@ -73,8 +75,8 @@ def alone(
             best[trial.name] = (trial, fit)
     if known is not None:
         # With all parameters, each of them costs as much as all causes alone.
-        ahead = leading([fit for _, fit in best.values()], LED, NEAR_BEST)
-        best = {name: own for name, own in best.items() if name in ahead}
+        led = leading([fit for _, fit in best.values()], LED, NEAR_BEST)
+        best = {name: pair for name, pair in best.items() if name in led}
     return [t.from_fit(fit) for t, fit in best.values()]
 
 

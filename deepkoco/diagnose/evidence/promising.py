@@ -11,6 +11,7 @@ from deepkoco.diagnose.evidence.screening import WORTH, StartPoint
 MIN_OF_BEST_CAUSE = 0.2  # share of the largest promise of all causes from which a cause is fitted
 MIN_OF_BEST_START = 0.3  # share of a cause's largest promise that its further starts need
 STARTS = 3  # largest number of starts of one cause
+MARGIN = 2.0  # fall of the cost that a fit may reach, over the one that slopes promise
 ROUNDS = 3  # in which causes are fitted that promise more than the fits before have reached
 SEARCHED = 10  # the same of a cause that is searched in time
 # With many parameters, causes of each joint (and as many without a joint) that are fitted: a cause at a joint shows
@@ -117,3 +118,16 @@ def simpler_frictions(
         and len(p.cause.free) < len(best.free)
         and p.cause.name not in asked
     ]
+
+
+def within_reach(points: Sequence[StartPoint], charge: Mapping[str, float], least: float) -> list[StartPoint]:
+    """Return starts whose causes could be named if a fit reached some times what slopes promise.
+
+    A cause that is searched in time gains by another time, which no slope tells, so its starts stay.
+
+    Args:
+        points: Starts.
+        charge: Cause -> fall of the cost that it needs for its parameters.
+        least: Fall of the cost beyond that from which a cause is named.
+    """
+    return [p for p in points if p.cause.searched or MARGIN * p.promise - charge[p.cause.name] > least]

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.evidence.classes import APART
+from deepkoco.diagnose.evidence.promising import MARGIN
 from deepkoco.diagnose.evidence.ranking import penalty
 from deepkoco.diagnose.evidence.screening import StartPoint
 from deepkoco.diagnose.residuals.residuals import SLOTS, dispersion
@@ -18,7 +19,6 @@ from deepkoco.diagnose.residuals.whiteness import more_than_noise
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit
 
-MARGIN = 2.0  # fall of the cost that a fit may reach, over the one that slopes promise
 LEADS = (
     0.9  # share of the largest promise at a joint from which an effect that takes long to simulate is fitted
 )
@@ -82,19 +82,6 @@ def promising_there(here: Sequence[StartPoint], there: Sequence[StartPoint]) -> 
         if not any(q.cause.name == p.cause.name and q.values == p.values for q in distinct):
             distinct.append(p)
     return distinct
-
-
-def within_reach(points: Sequence[StartPoint], charge: Mapping[str, float], least: float) -> list[StartPoint]:
-    """Return starts whose causes could be named if a fit reached ``MARGIN`` times what slopes promise, and all pushes.
-
-    A push gains by another time, which no slope tells.
-
-    Args:
-        points: Starts.
-        charge: Cause -> fall of the cost that it needs for its parameters.
-        least: Fall of the cost beyond that from which a cause is named.
-    """
-    return [p for p in points if p.cause.searched or MARGIN * p.promise - charge[p.cause.name] > least]
 
 
 def without_hopeless_slow(

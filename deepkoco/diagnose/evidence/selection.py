@@ -38,15 +38,11 @@ from deepkoco.diagnose.evidence.promising import (
     outstanding,
     promising_starts,
     simpler_frictions,
+    within_reach,
 )
 from deepkoco.diagnose.evidence.ranking import Ranking, penalty, ranked
 from deepkoco.diagnose.evidence.screening import Linearised, StartPoint, screen
-from deepkoco.diagnose.evidence.second_round import (
-    can_gain,
-    promising_there,
-    within_reach,
-    without_hopeless_slow,
-)
+from deepkoco.diagnose.evidence.second_round import can_gain, promising_there, without_hopeless_slow
 from deepkoco.diagnose.evidence.slips import HOPELESS, slipped
 from deepkoco.diagnose.evidence.start_values import Hints
 from deepkoco.diagnose.progress import in_company_of
@@ -131,7 +127,10 @@ def rank(
             )
         promising = best_of_each_place(without_hopeless_slow(promising, slow, charge), charge)
         if wanted > 0.0:
-            promising = within_reach(promising, charge, spread.deflation * wanted)
+            # A misfit that a cause explains does not count: only by how much the residuals of noise are correlated.
+            noise = max(spread.correlation, start.least_deflation)
+            of_noise = {n: noise / spread.deflation * own for n, own in charge.items()}
+            promising = within_reach(promising, of_noise, noise * wanted)
     # Parameters that healthy logs freed are already part of the linearisation, so the score test underrates them.
     known, found = set(start.prior.names), {p.cause.name for p in promising}
     underrated = [
@@ -150,7 +149,7 @@ def rank(
 
     trials = from_reference(promising)
     # With many parameters, the candidates of a reference share its slopes.
-    sharing = bool(trials) and problem.keeps_slopes(trials)
+    sharing = many or (bool(trials) and problem.keeps_slopes(trials))
     known = tangent.kept() if sharing else None
     of_slips = slipped(problem, start, accepted, reference, slips, HOPELESS if many else np.inf)
     if sharing:
@@ -190,7 +189,6 @@ def rank(
             held = [(p.cause.name, p.values) for p in promising]
             also_there = [p for p in there if p.cause.searched and p.cause.name in also]
             promising = [*promising, *(p for p in also_there if (p.cause.name, p.values) not in held)]
-        promises += far
         from_given = [*promising, *far]
         values = [{**given.values, **p.values} for p in from_given]
         stuck = {name for name, fit in fits.items() if fit.stuck or fit.diverged}
@@ -204,6 +202,8 @@ def rank(
             for k, p in enumerate(from_given)
         ]
         footholds = alone(problem, footholds, from_given, known, ITERATIONS if sharing else ALONE)
+        led = {t.name for t in footholds}
+        promises += [p for p in far if p.cause.name in led]
         trials += footholds
         # These starts are fitted to the end by themselves: in the first iterations the others look better.
         fits = _lower_ones(fits, fit_best(problem, footholds, reference, known, worth))

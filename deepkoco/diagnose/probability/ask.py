@@ -63,7 +63,7 @@ def evidence_of(
         else:
             told = _healthy([with_held_values(log) for log in read_logs(healthy, base)], base, length)
             # The recorder is that of the healthy logs.
-            start = replace(told.before, near=Near({}, told.windows.wander, told.before.step))
+            start = replace(told.before, near=Near({}, told.windows.wander))
             unit = learned_unit(told, causes)
         windows, reference = refit_sharply(start, data.train)
         problem = FitProblem(start.system, windows)

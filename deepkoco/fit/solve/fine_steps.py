@@ -22,7 +22,7 @@ from deepkoco.fit.solve.dispersion import dispersion
 # Squared error over all samples, in variances of the noise: no cause can be named for less than it explains.
 UNSEEN = 24.0
 MOST = 8  # parts of a step
-EQUAL = 0.05  # relative difference of steps of windows of different lengths
+EQUAL = 0.05  # relative difference up to which steps are the same: windows of other lengths have others
 # Of a fit and a choice of steps: a fit can hide errors of its steps, which the next one shows.
 STEP_ROUNDS = 3
 
@@ -94,16 +94,29 @@ def with_steps_cut(windows: Windows, parts: int) -> Windows:
 
 
 def with_steps_of(windows: Windows, step: float) -> Windows:
-    """Return windows whose integration steps are at most so long; steps of the system's own stay.
+    """Return windows with steps no longer than a given one, as far as ``MOST`` parts of a step allow.
+
+    Steps of the system's own stay.
 
     Args:
         windows: The windows.
-        step: Longest step [s]; infinite for any.
+        step: The longest step [s]; infinite for any.
+    """
+    parts = parts_of(windows, step)
+    return with_steps_cut(windows, parts) if parts > 1 else windows
+
+
+def parts_of(windows: Windows, step: float) -> int:
+    """Return into how many parts the integration steps of windows are cut: a power of two, ``MOST`` at most.
+
+    Args:
+        windows: The windows.
+        step: The longest step [s]; infinite for any.
     """
     parts = 1
     while parts < MOST and windows.step / parts > step * (1.0 + EQUAL):
         parts *= 2
-    return with_steps_cut(windows, parts) if parts > 1 else windows
+    return parts
 
 
 def _simulated(

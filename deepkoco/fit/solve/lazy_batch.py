@@ -35,6 +35,7 @@ LANES = 256  # simulations in one batch
 # Scale of a change of an initial state [rad or m, per s], beside prior standard deviations of parameters, when what a
 # step has shown is shared out.
 POSITION_SCALE, SPEED_SCALE = 0.1, 1.0
+MOST_TOLERANCE = 1.0  # of all parameters together: costs that differ by a few are told apart
 STEPS = 3  # with kept slopes, for each iteration that is allowed
 PROBE = 0.1  # share of a step to both sides at which the curvature along it is looked at
 MOST_CURVED = 0.75  # length of twice the added step, as a share of the straight one, up to which it is added
@@ -44,7 +45,8 @@ class LazyBatch(Batch):
     """State of the trials of one call of :meth:`FitProblem.fit`.
 
     Args:
-        problem, trials, tolerance: As for :class:`.Batch`.
+        problem, trials: As for :class:`.Batch`.
+        tolerance: Of the cost, as there; for each parameter, where it is ``TOLERANCE`` or less.
         known: Slopes from which the trials start; None computes them at the start of each trial. They have every
             parameter that a trial frees and does not renew.
         exact: Whether a fit ends with slopes at its own point. Without, it may end with older ones.
@@ -173,9 +175,13 @@ class LazyBatch(Batch):
         return self._built(k, normal.residual, points[0][k], points[2][k])
 
     def _tolerance(self, k: int) -> float:
-        """As for few parameters, times their number: each may then be off by a seventh of its standard deviation."""
-        each = min(self.tolerance, TOLERANCE) * len(self.trials[k].free)
-        return super()._tolerance(k) * max(1.0, each / self.tolerance)
+        """As for few parameters, but ``TOLERANCE`` for each parameter, or less where less is asked for.
+
+        With ``TOLERANCE``, each parameter may be off by a seventh of its standard deviation.
+        """
+        whole = min(min(self.tolerance, TOLERANCE) * len(self.trials[k].free), MOST_TOLERANCE)
+        usual = super()._tolerance(k)
+        return usual if whole <= self.tolerance else usual * whole / self.tolerance
 
     def _ask_for_slopes(self, k: int, whole: bool = False) -> bool:
         """Let the next simulations give slopes at the best point, if the trial may have them: first those that matter.

@@ -33,7 +33,8 @@ PLENTY = 200.0  # information by which they show noise plainly, likewise
 SHOWS = 30.0  # information by which they show noise, as the mean fall of minus twice the log likelihood
 PLACES = 3  # of each window, from which so many samples are taken
 MOST_PLACES = 60  # in all
-FIRST = 3  # one of so many of them is asked first, which can tell plainly that there is no noise
+# One of so many of them is asked first, which can tell plainly that there is no noise: beginnings, middles and ends.
+FIRST = 4
 FEW = 0.3  # share of the places that may be such as nothing of the commands explains
 SAME = 1e-9  # relative size of a direction that others span
 # Of the variance that no smooth command has, as noise; a command that acted as it is has none.
@@ -110,11 +111,12 @@ def shown_noise(
     if not asked:
         return Shown.nothing()
     places = _places(windows, shown, asked[-1])
-    found = answers(asked[-1], places[::FIRST])
-    if _tells(found, PLENTY) and (share := _share_of_directions(found)) is not None and share < SMALLEST:
+    found = answers(asked[-1], places, list(range(0, len(places), FIRST)))
+    few = _share_of_directions(found) if _tells(found, PLENTY) else None
+    if few is not None and few < SMALLEST:
         return Shown.nothing()
     # The longest stretches show the most: where they show nothing, shorter ones need not be asked.
-    found += answers(asked[-1], [own for k, own in enumerate(places) if k % FIRST])
+    found += answers(asked[-1], places, [k for k in range(len(places)) if k % FIRST])
     if not _tells(found):
         return Shown.nothing()
     seen = [found]
@@ -122,7 +124,8 @@ def shown_noise(
     if share is not None and share <= LARGER:
         return _shown(seen, share) if share >= SMALLEST else Shown.nothing()
     for short in asked[:-1]:
-        seen.append(answers(short, _places(windows, shown, short)))
+        places = _places(windows, shown, short)
+        seen.append(answers(short, places, range(len(places))))
         if _tells(seen[-1], PLENTY):
             found = seen[-1]
             break
@@ -226,6 +229,7 @@ def _short_answers(
     states: Tensor,
     short: int,
     places: Sequence[tuple[int, int]],
+    picked: Sequence[int],
 ) -> list[Answer]:
     """Return what some samples in a row say at each place, without what their state and a smooth load explain.
 
@@ -235,13 +239,16 @@ def _short_answers(
         states: (S, W, N, M) weighted moves by the initial states.
         short: How many samples.
         places: Windows, and the first of these samples in each.
+        picked: Numbers of the places that are asked. All of them tell how long so many samples last.
     """
     clock = shown[0]
-    if not places:
+    if not picked:
         return []
     rows, begin = np.array(places).T
     t, weight = windows.t[:, clock].numpy(), problem_of(windows).weight
     length = float(np.median(t[rows, begin + short - 1] - t[rows, begin]))
+    places = [places[k] for k in picked]
+    rows, begin = np.array(places).T
     first, last = inside(windows, rows, windows.t0[rows] + t[rows, begin], length)
     moves = moves_of(problem_of, windows, fit, most, rows, first, int((last - first).max()))
     smooth = np.linspace(-1.0, 1.0, moves.shape[-1])[:, None] ** np.arange(max(short // PER_POWER, 1) + 1)
