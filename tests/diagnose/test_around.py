@@ -32,7 +32,10 @@ def rubbing():
     return start, problem, Candidate(CAUSE, early, 300.0, 140.0), Candidate(CAUSE, late, 400.0, 190.0)
 
 
-def test_the_lowest_minimum_around_is_kept_and_the_score_follows_it(rubbing):
+@pytest.mark.parametrize("many", [False, True])
+def test_the_lowest_minimum_around_is_kept_and_the_score_follows_it(rubbing, many, monkeypatch):
+    # Fits of many parameters race, and all of them can end after the first iterations.
+    monkeypatch.setattr(FitProblem, "keeps_slopes", lambda *_: many)
     start, problem, early, late = rubbing
     start = replace(start, floor=1e-3)  # so that whatever is left is more than this unit leaves
     found = lowest_around(problem, start, (), early, 2.0)
