@@ -44,6 +44,12 @@ def test_eliminated_removes_only_the_false_cause():
     assert abs(less.values["lag.time_constant"] - 0.01) < 0.001
     # Both that are there stay, whatever order they were found in.
     assert len(eliminated(problem, start, kept[::-1], less, FURTHER)[0]) == 2
+    # Their estimates say so much of both that no fit without one is made, unless a share of the whole is asked for.
+    made: dict = {}
+    assert eliminated(problem, start, kept, less, FURTHER, done=made)[0] == kept
+    assert made == {}
+    eliminated(problem, start, kept, less, FURTHER, share=1e-9, done=made)
+    assert len(made) == 2
     # However much is wanted, so many stay, and the strongest of them; wherever in the list the others stood.
     assert [c.name for c in eliminated(problem, start, accepted, fit, 1e9)[0]] == ["asymmetry"]
     assert [c.name for c in eliminated(problem, start, accepted[::-1], fit, 1e9)[0]] == ["asymmetry"]

@@ -48,6 +48,8 @@ def test_dry_friction_that_ended_in_another_minimum_is_not_called_stribeck():
         candidates.append(Candidate(known[name], fit, ratio, score))
     assert candidates[0].delta_bic > candidates[1].delta_bic + 24.0
     ranking = Ranking(reference, tuple(candidates), spread, spread.deflation, samples)
+    # Small effects of healthy logs need no name.
+    assert front_settled(problem, start, (), ranking, forms=False).best.cause.name == "stribeck"
     found = front_settled(problem, start, (), ranking)
     assert found.best.cause.name == "coulomb"
     assert abs(found.best.fit.cost - fits["coulomb"].cost) < 1.0

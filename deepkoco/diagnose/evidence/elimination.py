@@ -19,7 +19,10 @@ from deepkoco.diagnose.residuals.residuals import SLOTS, dispersion
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.simulate.push import QUIET
+from deepkoco.fit.solve.scaled_inverse import scaled_inverse
 
+# Times the fall of the cost at which a cause is just worth its parameters, from which no fit without it is needed.
+PLAIN = 10.0
 # Causes -> fit with all of them but one, by their names and its name.
 Removals = dict[tuple[tuple[str, ...], str], Fit]
 
@@ -60,12 +63,22 @@ def eliminated(
     """
     kept = list(accepted)
     while len(kept) > least:
-        fits = _less(problem, start, kept, kept, fit, done)
         spread = dispersion(fit, problem.windows)
         deflation = max(spread.deflation, start.least_deflation)
         samples, places = problem.windows.samples / spread.correlation, SLOTS * len(problem.windows)
+        charge = {c.name: penalty(c, samples, places) for c in kept}
+        # With no share to keep, a cause whose estimate is very far from null stays, and no fit without it is made.
+        asked = [
+            c
+            for c in kept
+            if share > 0.0 or _squared_size(start, c, fit) / deflation <= PLAIN * (wanted + charge[c.name])
+        ]
+        if not asked:
+            break
+        without_one = dict(zip(asked, _less(problem, start, kept, asked, fit, done), strict=True))
+        fits = [without_one.get(c, fit) for c in kept]
         worth = [
-            (less.cost - fit.cost) / deflation - penalty(cause, samples, places)
+            (less.cost - fit.cost) / deflation - charge[cause.name] if cause in without_one else math.inf
             for cause, less in zip(kept, fits, strict=True)
         ]
         most = max(before - fit.cost, 1e-300)
@@ -87,6 +100,20 @@ def eliminated(
         del kept[weakest]
         fit = fits[weakest]
     return kept, fit
+
+
+def _squared_size(start: Baseline, cause: Cause, fit: Fit) -> float:
+    """Return the squared distance of a cause's sizes from null in their standard deviations; 0 where unknown.
+
+    Near a minimum it is the rise of the cost without the cause. Source: Wald's test.
+    """
+    sizes = [n for n in cause.sizes if n in fit.free]
+    if cause.effect == "event" or not sizes:
+        return 0.0
+    own = [fit.free.index(n) for n in sizes]
+    away = np.array([fit.values[n] - start.values[n] for n in sizes])
+    covariance = fit.covariance[np.ix_(own, own)]
+    return float(away @ scaled_inverse(covariance) @ away) if np.isfinite(covariance).all() else 0.0
 
 
 def carried(

@@ -32,13 +32,20 @@ USUAL_CHANGE = 0.3  # scale of the change of a parameter, as a share of its give
 
 
 def front_settled(
-    problem: FitProblem, start: Baseline, accepted: Sequence[Cause], ranking: Ranking
+    problem: FitProblem, start: Baseline, accepted: Sequence[Cause], ranking: Ranking, forms: bool = True
 ) -> Ranking:
     """Fit the winner, and all close candidates that may still improve, to convergence.
 
     The class depends on BIC differences, so fits that have not converged would give a wrong class. A candidate that
     converges late may even become the winner. A simpler form of the winner is fitted from the winner's optimum too:
     otherwise two minima of the other parameters are compared, and not the two forms.
+
+    Args:
+        problem: The windows.
+        start: The baseline.
+        accepted: Causes that are part of every fit.
+        ranking: The ranking.
+        forms: Whether simpler forms of the winner compete for its name. Small effects of healthy logs need none.
     """
     # Of correlated residuals, a sample decides only so much less.
     near = TOLERANCE * ranking.dispersion.correlation
@@ -49,7 +56,7 @@ def front_settled(
         behind = ranking.best.delta_bic - other.delta_bic
         if behind < 0.0 or not other.cause.free or other.only_promised(ranking.reference):
             continue
-        if _same_family(winner.cause, other.cause) and _simpler(winner, other, 0.0):
+        if forms and _same_family(winner.cause, other.cause) and _simpler(winner, other, 0.0):
             other = others[k] = _from_winner(problem, start, accepted, ranking, other, winner)
             if other.delta_bic > winner.delta_bic:
                 winner, others[k] = other, winner
