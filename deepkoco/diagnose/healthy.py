@@ -156,10 +156,7 @@ def _learn(
         alike[best.cause.name] = equivalent(problem, counted, ranking, tuple(accepted))
         # A cause that imitated a mixture of others becomes superfluous once these are added. It is not tried again.
         causes = [c for c in causes if c.name != best.cause.name]
-        # Without the new cause, the fit is the one on which it was found.
-        together = [*accepted, best.cause]
-        known = {(tuple(c.name for c in together), best.cause.name): ranking.reference}
-        accepted, fit = eliminated(problem, counted, together, best.fit, DETECTION, done=known)
+        accepted, fit = eliminated(problem, counted, [*accepted, best.cause], best.fit, DETECTION)
         # A missing effect increases the apparent run-to-run variance, so the variance is estimated again.
         try:
             fresh = spread_of(replace(told, causes=tuple(accepted), fit=fit))

@@ -8,7 +8,14 @@ import pytest
 from deepkoco.diagnose.baseline import baseline_from
 from deepkoco.diagnose.baseline_refit import refit_sharply
 from deepkoco.diagnose.causes import catalogue
-from deepkoco.diagnose.evidence.elimination import BENDING, PUSHES, carried, eliminated, without_kinds
+from deepkoco.diagnose.evidence.elimination import (
+    BENDING,
+    PUSHES,
+    _squared_size,
+    carried,
+    eliminated,
+    without_kinds,
+)
 from deepkoco.diagnose.evidence.forward import Selection
 from deepkoco.diagnose.evidence.priors import prior_with
 from deepkoco.diagnose.evidence.reconsider import reconsidered
@@ -201,3 +208,21 @@ def test_pruned_ranks_the_last_cause_again_without_those_that_are_removed():
     assert members == ("coulomb",)
     assert not any(n.startswith("cogging") for n in ranking.reference.free)
     assert found.final is ranking.best.fit
+
+
+def test_a_changed_parameter_or_a_limit_is_never_plain_by_its_estimate():
+    system = make_system("rod_pendulum")
+    log = hidden_log("rod_pendulum", {"lag": {"time_constant": 0.01}}, "steps", 221, 10.0)
+    windows = cut_windows([log], system, window_length(system))
+    start = baseline_from(system, windows.take(moving(windows)))
+    problem = FitProblem(start.system, windows.take(moving(windows)))
+    known = catalogue(system)
+    sizes = {}
+    for name in ("lag", "saturation", next(n for n in known if n.startswith("changed("))):
+        cause = known[name]
+        prior = prior_with(problem, start, [cause], start.values)
+        away = {n: start.values[n] * 0.5 + 0.01 for n in cause.free}
+        trial = Trial(name, prior.names, prior, {**start.values, **away})
+        sizes[name] = _squared_size(problem, start, cause, problem.fit([trial], 1)[0])
+    assert sizes.pop("lag") > 1e3
+    assert set(sizes.values()) == {0.0}

@@ -84,7 +84,7 @@ def lowest_around(
     trials = around(problem, trial_at(problem, start, accepted, candidate), candidate.fit, deflation)
     if problem.keeps_slopes(trials):
         scouts = problem.fit(trials, FIRST)
-        for fit in scouts:
+        for fit in (own for own in scouts if own.converged):
             candidate = with_better_fit(candidate, fit, deflation)
         going_on = [k for k, fit in enumerate(scouts) if not (fit.converged or fit.diverged)]
         going_on = sorted(going_on, key=lambda k: scouts[k].cost)[:LEADING]

@@ -71,7 +71,8 @@ def eliminated(
         asked = [
             c
             for c in kept
-            if share > 0.0 or _squared_size(start, c, fit) / deflation <= PLAIN * (wanted + charge[c.name])
+            if share > 0.0
+            or _squared_size(problem, start, c, fit) / deflation <= PLAIN * (wanted + charge[c.name])
         ]
         if not asked:
             break
@@ -102,13 +103,18 @@ def eliminated(
     return kept, fit
 
 
-def _squared_size(start: Baseline, cause: Cause, fit: Fit) -> float:
+def _squared_size(problem: FitProblem, start: Baseline, cause: Cause, fit: Fit) -> float:
     """Return the squared distance of a cause's sizes from null in their standard deviations; 0 where unknown.
 
-    Near a minimum it is the rise of the cost without the cause. Source: Wald's test.
+    Where the cost is quadratic as far as null, it is the rise of the cost without the cause. That is not so of a
+    changed parameter, which stays free without the cause, nor of a limit, whose null is its upper bound.
+
+    Source: Wald's test.
     """
     sizes = [n for n in cause.sizes if n in fit.free]
-    if cause.effect == "event" or not sizes:
+    if cause.effect == "event" or not sizes or not set(sizes).isdisjoint(start.prior.names):
+        return 0.0
+    if any(start.values[n] >= problem.system.parameter(n).high for n in sizes):
         return 0.0
     own = [fit.free.index(n) for n in sizes]
     away = np.array([fit.values[n] - start.values[n] for n in sizes])

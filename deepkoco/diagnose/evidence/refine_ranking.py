@@ -45,7 +45,8 @@ def front_settled(
         start: The baseline.
         accepted: Causes that are part of every fit.
         ranking: The ranking.
-        forms: Whether simpler forms of the winner compete for its name. Small effects of healthy logs need none.
+        forms: Whether simpler forms of the winner are also fitted from its optimum. Small effects of healthy logs
+            need no name.
     """
     # Of correlated residuals, a sample decides only so much less.
     near = TOLERANCE * ranking.dispersion.correlation

@@ -127,8 +127,8 @@ def rank(
             )
         promising = best_of_each_place(without_hopeless_slow(promising, slow, charge), charge)
         if wanted > 0.0:
-            # A misfit that a cause explains does not count: only by how much the residuals of noise are correlated.
-            noise = max(spread.correlation, start.least_deflation)
+            # A misfit that a cause explains does not count, but what this unit leaves when nothing is wrong.
+            noise = start.least_deflation
             of_noise = {n: noise / spread.deflation * own for n, own in charge.items()}
             promising = within_reach(promising, of_noise, noise * wanted)
     # Parameters that healthy logs freed are already part of the linearisation, so the score test underrates them.

@@ -46,7 +46,8 @@ class LazyBatch(Batch):
 
     Args:
         problem, trials: As for :class:`.Batch`.
-        tolerance: Of the cost, as there; for each parameter, where it is ``TOLERANCE`` or less.
+        tolerance: Of the cost, as there; for each parameter, where it is ``TOLERANCE`` or less, and ``MOST_TOLERANCE``
+            for all of them at most.
         known: Slopes from which the trials start; None computes them at the start of each trial. They have every
             parameter that a trial frees and does not renew.
         exact: Whether a fit ends with slopes at its own point. Without, it may end with older ones.
@@ -177,7 +178,8 @@ class LazyBatch(Batch):
     def _tolerance(self, k: int) -> float:
         """As for few parameters, but ``TOLERANCE`` for each parameter, or less where less is asked for.
 
-        With ``TOLERANCE``, each parameter may be off by a seventh of its standard deviation.
+        With ``TOLERANCE``, each parameter may be off by a seventh of its standard deviation. All of them together have
+        ``MOST_TOLERANCE`` at most.
         """
         whole = min(min(self.tolerance, TOLERANCE) * len(self.trials[k].free), MOST_TOLERANCE)
         usual = super()._tolerance(k)

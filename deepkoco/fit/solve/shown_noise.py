@@ -33,8 +33,8 @@ PLENTY = 200.0  # information by which they show noise plainly, likewise
 SHOWS = 30.0  # information by which they show noise, as the mean fall of minus twice the log likelihood
 PLACES = 3  # of each window, from which so many samples are taken
 MOST_PLACES = 60  # in all
-# One of so many of them is asked first, which can tell plainly that there is no noise: beginnings, middles and ends.
-FIRST = 4
+# One of so many of them is asked first, which can tell plainly that there is no noise. A window has one to three.
+FIRST = 5
 FEW = 0.3  # share of the places that may be such as nothing of the commands explains
 SAME = 1e-9  # relative size of a direction that others span
 # Of the variance that no smooth command has, as noise; a command that acted as it is has none.
