@@ -27,9 +27,8 @@ from deepkoco.fit.solve.scaled_inverse import DivergedError, scaled_inverse
 from deepkoco.fit.solve.state_search import lower_states
 from deepkoco.fit.tangent import Tangent, batches, simulated
 
-TOLERANCE = (
-    0.02  # a fit has converged when a step lowers its cost by less; of many parameters, for each of them
-)
+# A fit has converged when a step lowers its cost by less; a fit of many parameters, by less for each of them.
+TOLERANCE = 0.02
 TO_BEGIN = 0.5  # the same for a fit that only begins another one
 LEAST_DAMPING, LARGEST_DAMPING = 1e-9, 1e8
 KEPT = 0.25  # share of the fall that a step promises, which it gives with other initial states
