@@ -276,6 +276,20 @@ def noisier(windows: Windows, floor: float, correlation: float = 1.0) -> Windows
     )
 
 
+def counting_floor(start: Baseline, windows: Windows) -> tuple[Baseline, Windows]:
+    """Return a baseline with a floor of 1, and windows whose noise is larger instead.
+
+    The prior of a learned baseline was computed with the floor. A likelihood without the floor, or one that counts
+    correlated model errors as independent, would weigh too much against this prior.
+
+    Args:
+        start: A baseline learned from healthy logs.
+        windows: Windows with the noise of the sensors alone.
+    """
+    windows = noisier(windows, start.floor, start.correlation)
+    return replace(start, floor=1.0, prior=tempered(start.prior, start.correlation)), windows
+
+
 def tempered(prior: Prior, correlation: float) -> Prior:
     """Return the prior with its covariance divided by the correlation [samples per independent sample].
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -9,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from deepkoco.diagnose.baseline import Baseline, noisier, tempered
+from deepkoco.diagnose.baseline import Baseline, counting_floor
 from deepkoco.diagnose.residuals.residuals import white_limit
 from deepkoco.diagnose.shorter_first import shorter_first
 from deepkoco.fit.data.halves import halved
@@ -241,31 +242,39 @@ def refit_sharply(
     usual = windows.steps if usual is None else usual
     if first is None:
         windows, first = first_refit(start, windows)
-    fit = refit(start, windows, first=first, tolerance=TO_BEGIN)
-    windows = with_sharp_noise(windows, fit)
-    windows, fit = with_lost_rows_fitted(partial(FitProblem, start.system), windows, fit, start.prior)
-    left = max(MOST * usual // windows.steps, 1)
-    for further in reversed(range(STEP_ROUNDS)):
-        parts = fine_steps(partial(FitProblem, start.system), windows, fit, left) if left > 1 else 1
-        windows, left = with_steps_cut(windows, parts), left // parts
-        trial = Trial("refit", fit.free, start.prior, fit.values).from_fit(fit)
-        last = parts == 1 or not further
-        fit = FitProblem(start.system, windows).fit_one(trial, tolerance=TOLERANCE if last else TO_BEGIN)
-        if last:
-            break
-    if windows.wander is None and fit.chi2 / windows.samples > white_limit(windows):
-        noisy = with_rounded_commands(partial(FitProblem, start.system), windows, fit)
-        if noisy is not windows:
-            trial = Trial("refit", fit.free, start.prior, fit.values).from_fit(fit)
-            windows, fit = noisy, FitProblem(start.system, noisy).fit_one(trial)
-    return windows, fit
+    return _refit_sharply(replace(start, floor=1.0, correlation=1.0), windows, first, usual)
 
 
-def with_floor_as_noise(start: Baseline, windows: Windows) -> tuple[Baseline, Windows, Fit]:
-    """Count the floor as noise, and refit.
+def refit_of_known_recorder(start: Baseline, windows: Windows) -> tuple[Windows, Fit]:
+    """As :func:`refit_sharply`, where earlier logs of the recorder have told whether its commands have noise.
 
-    The prior of a learned baseline was computed with the floor. A likelihood without the floor, or one that counts
-    correlated model errors as independent, would weigh too much against this prior.
+    The floor of the baseline counts as noise in the fits.
+
+    Args:
+        start: Prior and present values, with what is known of the recorder.
+        windows: Windows with the noise of the sensors alone.
+
+    Returns:
+        The windows under the estimated noise of the sensors, and the refit to them.
+
+    Raises:
+        DivergedError: The simulation diverges at the present values.
+    """
+    usual, windows = windows.steps, with_steps_of(windows, start.step)
+    if windows.wander is None:
+        windows = with_noise_like(partial(FitProblem, start.system), windows, start.values, start.wander)
+    begun = start.near is not None and any(n in start.near.values for n in start.prior.names)
+    try:
+        first = from_shorter_windows(*counting_floor(start.begun(), windows), start.prior.names, begun)
+    except DivergedError:
+        if not begun:
+            raise
+        first = from_shorter_windows(*counting_floor(start, windows), start.prior.names)
+    return _refit_sharply(start, windows, first, usual)
+
+
+def refit_counting_floor(start: Baseline, windows: Windows) -> tuple[Baseline, Windows, Fit]:
+    """Refit, where what the unit leaves when nothing is wrong counts as noise (:func:`.counting_floor`).
 
     Args:
         start: A baseline learned from healthy logs.
@@ -273,9 +282,44 @@ def with_floor_as_noise(start: Baseline, windows: Windows) -> tuple[Baseline, Wi
 
     Returns:
         The baseline with a floor of 1, the windows with the larger noise, and their refit.
+
+    Raises:
+        DivergedError: The simulation diverges at the present values.
     """
-    windows = noisier(windows, start.floor, start.correlation)
-    start = replace(start, floor=1.0, prior=tempered(start.prior, start.correlation))
-    first = refit(start, windows)
-    trial = Trial("refit", first.free, start.prior, first.values, first.state, first.nuisance)
-    return start, windows, FitProblem(start.system, windows).fit_one(trial)
+    windows, fit = refit_of_known_recorder(start, windows)
+    return *counting_floor(start, windows), fit
+
+
+def _refit_sharply(start: Baseline, windows: Windows, first: Fit, usual: int) -> tuple[Windows, Fit]:
+    """As :func:`refit_sharply`; the floor of the baseline counts as noise in its fits.
+
+    Returns:
+        The windows with the noise of the sensors, and the refit under that noise and the floor.
+    """
+    floor, (counting, counted) = start.floor, counting_floor(start, windows)
+
+    def problem_of(windows: Windows) -> FitProblem:
+        return FitProblem(start.system, counting_floor(start, windows)[1])
+
+    def in_noise_of_sensors(fit: Fit) -> Fit:
+        return replace(fit, residual=math.sqrt(floor) * fit.residual)
+
+    fit = refit(counting, counted, first=first, tolerance=TO_BEGIN)
+    windows = with_sharp_noise(windows, in_noise_of_sensors(fit))
+    windows, fit = with_lost_rows_fitted(problem_of, windows, fit, counting.prior)
+    left = max(MOST * usual // windows.steps, 1)
+    for further in reversed(range(STEP_ROUNDS)):
+        parts = fine_steps(problem_of, windows, fit, left) if left > 1 else 1
+        windows, left = with_steps_cut(windows, parts), left // parts
+        trial = Trial("refit", fit.free, counting.prior, fit.values).from_fit(fit)
+        last = parts == 1 or not further
+        fit = problem_of(windows).fit_one(trial, tolerance=TOLERANCE if last else TO_BEGIN)
+        if last:
+            break
+    if windows.wander is None and floor * fit.chi2 / windows.samples > white_limit(windows):
+        sensors = in_noise_of_sensors(fit)
+        noisy = with_rounded_commands(partial(FitProblem, start.system), windows, sensors)
+        if noisy is not windows:
+            trial = Trial("refit", fit.free, counting.prior, fit.values).from_fit(fit)
+            windows, fit = noisy, problem_of(noisy).fit_one(trial)
+    return windows, fit

@@ -13,12 +13,12 @@ from deepkoco.diagnose.baseline import (
     check_learned,
     with_gauges_fixed,
 )
+from deepkoco.diagnose.beside_healthy import BesideHealthy
 from deepkoco.diagnose.between_rows import as_recorded
 from deepkoco.diagnose.causes import catalogue, causes_named, measured_channels, shown_causes
 from deepkoco.diagnose.data import MIN_TRAINING_WINDOWS, cut_data
 from deepkoco.diagnose.diagnosis import Diagnosis
 from deepkoco.diagnose.evidence.selection import DETECTION
-from deepkoco.diagnose.healthy import learn_as_simulated
 from deepkoco.diagnose.longer_windows import on_longer_windows
 from deepkoco.diagnose.lost_rows import with_lost_rows_beside
 from deepkoco.diagnose.probability.shadow import with_evidence
@@ -142,15 +142,15 @@ def diagnose(
         )
         if len(data.train) < MIN_TRAINING_WINDOWS:
             return insufficient(request)
-        learned, unfitted = baseline, ()
+        learned, unfitted, beside = baseline, (), BesideHealthy(request, healthy, read.near)
         if learned is None and healthy:
             try:
-                learned = learn_as_simulated(healthy, base, length, progress, limit=limit, near=read.near)
+                learned = beside.learned()
             except DivergedError as error:
                 unfitted = (f"the healthy logs, which are left out ({error})",)
         if learned is not None:
             try:
-                return _diagnosed(request, learned)
+                return _diagnosed(request, learned, beside=beside)
             except DivergedError as error:
                 # The healthy logs may be of another unit, so their prior need not suit these logs.
                 unfitted = (f"these logs under the prior of the healthy logs, which are left out ({error})",)
@@ -160,10 +160,15 @@ def diagnose(
 
 
 def _diagnosed(
-    request: DiagnosisRequest, start: Baseline, unfitted: Sequence[str] = (), chosen: bool = True
+    request: DiagnosisRequest,
+    start: Baseline,
+    unfitted: Sequence[str] = (),
+    chosen: bool = True,
+    beside: BesideHealthy | None = None,
 ) -> Diagnosis:
     """Diagnose from one baseline: refit it and select causes, judge them, and build the result."""
-    explanation = explained(request, start, unfitted)
+    explanation = explained(request, start, unfitted, base=None if beside is None else beside.refit_of(start))
+    explanation = explanation if beside is None else beside.with_small_effects(explanation, unfitted)
     request, explanation = with_lost_rows_beside(request, explanation, unfitted)
     request, explanation = the_other_way(request, explanation, unfitted)
     request, explanation = on_longer_windows(request, explanation)

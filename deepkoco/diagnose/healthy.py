@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -27,7 +27,7 @@ from deepkoco.diagnose.evidence.priors import freed, prior_with
 from deepkoco.diagnose.evidence.refine_ranking import front_settled
 from deepkoco.diagnose.evidence.selection import DETECTION, PATIENCE, rank
 from deepkoco.diagnose.evidence.start_values import Hints
-from deepkoco.diagnose.healthy_spread import spread_of
+from deepkoco.diagnose.healthy_spread import Spread, spread_of
 from deepkoco.diagnose.lost_commands.report import best_losses
 from deepkoco.diagnose.progress import Progress, in_company_of, silent
 from deepkoco.diagnose.residuals.residuals import missing_torque
@@ -89,19 +89,21 @@ def learn_as_simulated(
     extension: int = LARGEST_EXTENSION,
     limit: TimeLimit | None = None,
     near: Near | None = None,
+    enough: Callable[[Baseline], bool] | None = None,
 ) -> Baseline:
     """As :func:`learn_baseline`, where it is known whether the logs are of a machine or of an engine.
 
     Args:
         recordings, system, length, progress, extension, limit: As there.
         near: What earlier fits of the logs have told; None for none.
+        enough: Asked, with what is learned so far, whether no further small effect is wanted; None wants all.
     """
     limit = TimeLimit() if limit is None else limit
     try:
         # Every effect changes the floor, and only the last one counts.
-        return _learn(recordings, system, length, progress, extension, limit, near, False)
+        return _learn(recordings, system, length, progress, extension, limit, near, enough, False)
     except FloorError:
-        return _learn(recordings, system, length, progress, extension, limit, near, True)
+        return _learn(recordings, system, length, progress, extension, limit, near, enough, True)
 
 
 class FloorError(DivergedError):
@@ -116,12 +118,13 @@ def _learn(
     extension: int,
     limit: TimeLimit,
     near: Near | None,
+    enough: Callable[[Baseline], bool] | None,
     each: bool,
 ) -> Baseline:
     """As :func:`learn_baseline`.
 
     Args:
-        recordings, system, length, progress, extension, limit, near: As for :func:`learn_as_simulated`.
+        recordings, system, length, progress, extension, limit, near, enough: As for :func:`learn_as_simulated`.
         each: Whether the floor is computed after each effect, so that one with which a log diverges is left out.
 
     Raises:
@@ -145,6 +148,10 @@ def _learn(
         fit, (counted, problem) = told.fit, told.counted()
         if not limit.allows("small effects that the healthy logs show"):
             break
+        if enough is not None and (so_far := _so_far(told, spread)) is not None:
+            progress("refit of the simulation as the healthy logs tell it")
+            if enough(so_far):
+                break
         progress(f"healthy logs: fitting every cause{in_company_of(c.name for c in accepted)}")
         hints = Hints(start.system, windows, missing_torque(problem, fit), fit.chi2 / windows.samples)
         # Small effects are sought, and none drives a refit far away.
@@ -185,6 +192,14 @@ def _learn(
     except DivergedError as error:
         raise FloorError(str(error)) from error
     return replace(_learned(told, spread.runs), losing=losing)
+
+
+def _so_far(healthy: Healthy, spread: Spread) -> Baseline | None:
+    """Return the baseline with the effects that are known; None if a log diverges under what all of them tell."""
+    try:
+        return _learned(healthy, spread.with_floor().runs)
+    except DivergedError:
+        return None
 
 
 def frees_scale(start: Baseline, cause: Cause) -> bool:

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from deepkoco.diagnose.baseline import Baseline, prior_of_mean
-from deepkoco.diagnose.baseline_refit import with_floor_as_noise
+from deepkoco.diagnose.baseline_refit import refit_counting_floor
 from deepkoco.diagnose.data import Data
 from deepkoco.diagnose.evidence.absorbed import refit_without
 from deepkoco.diagnose.evidence.event_windows import train_on_pushed
@@ -97,6 +97,19 @@ def data_with_lost_rows_fitted(
     return replace(data, train=train, held=held), fit
 
 
+def with_own_parameters(learned: Baseline, data: Data) -> tuple[Baseline, Data]:
+    """Return the baseline and the data of logs that each have parameters of their own, as each healthy log had.
+
+    Args:
+        learned: The baseline; its prior is that of one log.
+        data: The windows of the logs to explain; with a single log, or without run-to-run variance, they stay.
+    """
+    if learned.runs is None or (data.own and len(data.train.commands) == 1):
+        return learned, data
+    start, varies = prior_of_mean(learned)
+    return start, data.varying(varies)
+
+
 def refit_to_logs(learned: Baseline, data: Data) -> Refitted:
     """Refit a baseline to the training windows.
 
@@ -104,15 +117,10 @@ def refit_to_logs(learned: Baseline, data: Data) -> Refitted:
         learned: The baseline, as given or as learned from healthy logs.
         data: The windows of the logs to explain.
     """
-    start = learned
-    if start.runs is not None and not (data.own and len(data.train.commands) == 1):
-        # With run-to-run variance, each log to explain has its own parameters, as each healthy log had.
-        start, varies = prior_of_mean(start)
-        data = data.varying(varies)
-    start, train, reference = refit_to_windows(start, data.train)
-    if start.least_deflation > 1.0:
-        # The floor of the healthy unit counts as noise; otherwise the refit would leave its prior to fit it.
-        start, train, reference = with_floor_as_noise(start, train)
+    start, data = with_own_parameters(learned, data)
+    # The floor of a healthy unit counts as noise; otherwise the refit would leave its prior to fit it.
+    refit = refit_counting_floor if start.least_deflation > 1.0 else refit_to_windows
+    start, train, reference = refit(start, data.train)
     varies = train.varies if data.held is not None and data.held.varies else {}
     held = None if data.held is None else replace(data.held, noise=train.noise, varies=varies)
     if held is not None:

@@ -21,6 +21,8 @@ from deepkoco.fit.solve.levenberg_marquardt import TO_BEGIN
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.systems import ExtendedSystem
 
+# Noise variances up to which windows are followed so closely that a fit is on the way to the right minimum.
+FOLLOWED = 4.0
 FEWEST = 10  # samples of a channel in a window that show more of the motion than where it begins
 # Shares of the way to the centre of the prior, of fits that begin one after the other.
 NEARER = (0.0, 0.5, 1.0)
@@ -59,7 +61,8 @@ def shorter_first(
     state, _ = problem.fit_states(values, windows.state)
     trial = Trial("windows", names, prior, values, state)
     found = problem.fit([trial], iterations, TO_BEGIN)[0]
-    good = (begun or found.converged) and not (found.diverged or found.stuck)
+    followed = found.chi2 <= FOLLOWED * windows.samples
+    good = (begun or found.converged or followed) and not (found.diverged or found.stuck)
     if good and found.chi2 <= LARGE_MISFIT * windows.samples:
         return found
     levels = [problem]

@@ -70,6 +70,7 @@ def explained(
     unfitted: Sequence[str] = (),
     joined: tuple[str, ...] = (),
     more: int = MOST_EXTENSIONS,
+    base: Refitted | None = None,
 ) -> Explanation:
     """Return what explains the logs; of a unit of a model file, what weighs most.
 
@@ -79,8 +80,9 @@ def explained(
         unfitted: What could not be fitted so far, in words.
         joined: Names of causes that joined the baseline before.
         more: Times that causes may still join it because the healthy logs are consistent with them.
+        base: The refit of the baseline, where it is known.
     """
-    base = refitted(request, learned)
+    base = refitted(request, learned) if base is None else base
     single = _one_change_at_once(request, base, unfitted, joined, more)
     if single is not None:
         return single

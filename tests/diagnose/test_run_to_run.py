@@ -156,7 +156,8 @@ def test_a_healthy_log_that_says_nothing_does_not_answer_those_that_do(logs, bef
     for together in (0.0, 900.0):
         asked = iter(known)
         monkeypatch.setattr(seen_when_healthy, "_chi2_together", lambda *_, chi2=together: [chi2])
-        assert consistent_with_healthy(start, None, [cause]) == [before and together == 0.0]
+        found = seen_when_healthy.compared(start, None, start.healthy, [cause])
+        assert found == [before and together == 0.0]
 
 
 @pytest.mark.study

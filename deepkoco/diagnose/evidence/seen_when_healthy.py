@@ -13,11 +13,12 @@ import torch
 
 from deepkoco.diagnose.baseline import Baseline, Healthy, noisier, tempered
 from deepkoco.diagnose.causes import Cause, is_changed, kind_of
+from deepkoco.diagnose.evidence.elimination import PLAIN
 from deepkoco.diagnose.evidence.flexible import FLEXIBLE_CAUSES
 from deepkoco.diagnose.evidence.priors import declared, freed, prior_with
 from deepkoco.diagnose.evidence.pushed_bodies import falls_at
 from deepkoco.diagnose.evidence.selected import Selected
-from deepkoco.diagnose.evidence.selection import CLOSE, PATIENCE
+from deepkoco.diagnose.evidence.selection import CLOSE, FURTHER, PATIENCE
 from deepkoco.diagnose.evidence.start_values import WIDTHS
 from deepkoco.diagnose.residuals.residuals import MissingTorque, missing_torque
 from deepkoco.diagnose.run_to_run import unshown, within_bounds
@@ -25,6 +26,7 @@ from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.dispersion import dispersion
 from deepkoco.fit.solve.prior import Prior
+from deepkoco.fit.solve.scaled_inverse import scaled_inverse
 
 # A push must be at least twice as strong, four times the fall of chi2, as the strongest that the healthy logs show: one
 # of a few logs is always the one with the largest.
@@ -72,6 +74,21 @@ def consistent_with_healthy(
     if healthy is None or not hypotheses:
         return [False] * len(hypotheses)
     known = {c.name for c in healthy.causes}
+    asked = np.array([h.cause.name not in known for h in hypotheses])
+    if start.runs is None:
+        asked &= ~np.array(_plainly_apart(start, problem, healthy, hypotheses))
+    before = np.full(len(hypotheses), False)
+    if asked.any():
+        before[asked] = compared(
+            start, problem, healthy, [hypotheses[k] for k in np.flatnonzero(asked).tolist()]
+        )
+    return before.tolist()
+
+
+def compared(
+    start: Baseline, problem: FitProblem, healthy: Healthy, hypotheses: Sequence[Hypothesis]
+) -> list[bool]:
+    """As :func:`consistent_with_healthy`, by fits of either logs with the estimates from the others."""
     told = np.unique(healthy.windows.log) if start.runs is None else sorted(start.runs.log_information)
     logs = [healthy.windows.log == k for k in told]
     limits = np.array([float(scipy.stats.chi2.ppf(CONFIDENCE, len(c.cause.free))) for c in hypotheses])
@@ -88,7 +105,47 @@ def consistent_with_healthy(
         asked = np.flatnonzero(before).tolist()
         more = _chi2_together(start, problem, healthy, [hypotheses[i] for i in asked])
         before[asked] = np.array(more) <= limits[asked]
-    return [h.cause.name not in known and bool(was) for h, was in zip(hypotheses, before, strict=True)]
+    return before.tolist()
+
+
+def _plainly_apart(
+    start: Baseline, problem: FitProblem, healthy: Healthy, hypotheses: Sequence[Hypothesis]
+) -> list[bool]:
+    """Return for each cause whether its estimates from the healthy logs and from other logs are so far apart that no
+    fit of one with the estimate of the other is needed.
+
+    Such a fit is far from everything that it knows, and takes long. Where the cost is quadratic as far as the other
+    estimate, its rise follows from the uncertainty of both. That is not so of a changed parameter, which every fit
+    frees.
+
+    Args:
+        start: The baseline.
+        problem: Windows on which the causes were selected.
+        healthy: The healthy logs.
+        hypotheses: The causes.
+
+    Source: Wald's test.
+    """
+    asked = [h for h in hypotheses if set(h.cause.free).isdisjoint(start.prior.names)]
+    before, own = healthy.counted()
+    trials = [
+        freed(own, before, (*healthy.causes, h.cause), healthy.fit, {**healthy.fit.values}) for h in asked
+    ]
+    fits = dict(zip((h.cause.name for h in asked), own.fit(trials, PATIENCE, CLOSE), strict=True))
+    apart = []
+    for cause, _, fit in hypotheses:
+        there = fits.get(cause.name)
+        if there is None or there.diverged or not (there.converged and there.exact and fit.exact):
+            apart.append(False)
+            continue
+        uncertain = np.zeros((len(cause.free), len(cause.free)))
+        for each, windows in ((there, healthy.windows), (fit, problem.windows)):
+            places = [each.free.index(n) for n in cause.free]
+            uncertain += dispersion(each, windows).deflation * each.covariance[np.ix_(places, places)]
+        away = np.array([fit.values[n] - there.values[n] for n in cause.free])
+        finite = bool(np.isfinite(uncertain).all())
+        apart.append(finite and float(away @ scaled_inverse(uncertain) @ away) > PLAIN * FURTHER)
+    return apart
 
 
 def hypotheses_of(found: Selected) -> list[Hypothesis]:

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from deepkoco.diagnose.baseline import Baseline, Near
-from deepkoco.diagnose.baseline_refit import refit_sharply
+from deepkoco.diagnose.baseline_refit import refit_of_known_recorder
 from deepkoco.diagnose.causes import Cause, is_changed
 from deepkoco.diagnose.data_sheet import guessed, with_usual_spread
 from deepkoco.diagnose.diagnosis import Diagnosis
@@ -106,7 +106,7 @@ def weighing_of(request: DiagnosisRequest, base: Refitted, acted: Windows | None
         return weighing(problem, reference, base.start, causes)
     # The recorder is that of the healthy logs.
     before = replace(healthy.before, near=Near({}, healthy.windows.wander, healthy.before.step))
-    windows, reference = refit_sharply(before, request.data.train)
+    windows, reference = refit_of_known_recorder(before, request.data.train)
     problem = FitProblem(healthy.before.system, windows)
     problem, reference = _acting(problem, reference, healthy.before, acted)
     return weighing(problem, reference, healthy.before, causes, learned_unit(healthy, causes))
