@@ -68,11 +68,13 @@ class Near(NamedTuple):
         wander: Noise of the commands; its windows do not count. None where the logs show none.
         step: Longest integration step of a machine [s] with which a fit has followed the logs; infinite where the usual
             one does.
+        delays: Delays of all commands and of all speeds that were found beside these values; null ones are left out.
     """
 
     values: Mapping[str, float]
     wander: Wander | None
     step: float = math.inf
+    delays: Mapping[str, float] | None = None
 
 
 @dataclass(frozen=True)

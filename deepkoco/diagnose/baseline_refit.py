@@ -12,7 +12,7 @@ import torch
 
 from deepkoco.diagnose.baseline import Baseline, counting_floor
 from deepkoco.diagnose.residuals.residuals import white_limit
-from deepkoco.diagnose.shorter_first import shorter_first
+from deepkoco.diagnose.shorter_first import FOLLOWED, shorter_first
 from deepkoco.fit.data.halves import halved
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import ITERATIONS, Fit, FitProblem, Trial
@@ -68,7 +68,7 @@ def refit(
     found = problem.fit_one(
         Trial("refit", names, start.prior, first.values, state, first.nuisance), tolerance=tolerance
     )
-    if not (first.stuck or found.stuck):
+    if not (first.stuck or found.stuck) or found.chi2 <= FOLLOWED * windows.samples:
         return found
     state, _ = problem.fit_states(start.values, windows.state)
     again = problem.fit([Trial("refit", names, start.prior, start.values, state)], LONG, tolerance)[0]

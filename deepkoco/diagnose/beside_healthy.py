@@ -18,7 +18,7 @@ from deepkoco.diagnose.explanation import Explanation
 from deepkoco.diagnose.healthy import learn_as_simulated
 from deepkoco.diagnose.refitted import Refitted, refit_to_logs, with_own_parameters
 from deepkoco.diagnose.request import DiagnosisRequest
-from deepkoco.diagnose.residuals.whiteness import more_than_noise
+from deepkoco.diagnose.verdict.judgement import Judgement, judge
 from deepkoco.diagnose.weighed import explained
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.fine_steps import with_steps_of
@@ -99,26 +99,34 @@ class BesideHealthy:
         base = self.base
         return base and replace(base, learned=learned, start=replace(base.start, losing=learned.losing))
 
-    def with_small_effects(self, explanation: Explanation, unfitted: Sequence[str]) -> Explanation:
+    def with_small_effects(
+        self, explanation: Explanation, judgement: Judgement, unfitted: Sequence[str]
+    ) -> tuple[Explanation, Judgement]:
         """Explain the logs again, with all small effects of the healthy ones, where these may be what is left.
 
         Args:
             explanation: Causes that were selected without these effects.
+            judgement: The verdict on them.
             unfitted: What could not be fitted so far, in words.
+
+        Returns:
+            The same, or what is named with these effects.
         """
-        base, final = explanation.base, explanation.found.final
-        known = base.learned.healthy
-        if self.base is None or known is None or more_than_noise(final, base.train, base.start) is None:
-            return explanation
-        if _is_far(base.learned, final, base.train.samples):
-            return explanation
+        base, known = explanation.base, explanation.base.learned.healthy
+        if judgement.verdict != "unknown" or self.base is None or known is None:
+            return explanation, judgement
+        if _is_far(base.learned, explanation.found.final, base.train.samples):
+            return explanation, judgement
         if not self.request.limit.allows("small effects that the healthy logs show"):
-            return explanation
+            return explanation, judgement
+        delays = {n: known.fit.values[n] for c in known.causes for n in c.free}
+        near = Near(known.fit.values, known.windows.wander, known.before.step, delays)
         try:
-            learned = self._learned(Near(known.fit.values, known.windows.wander, known.before.step))
-            return explained(self.request, learned, unfitted)
+            again = explained(self.request, self._learned(near), unfitted)
+            judged = judge(self.request, again)
         except DivergedError:
-            return explanation
+            return explanation, judgement
+        return (explanation, judgement) if judged.verdict == "unknown" else (again, judged)
 
 
 def _is_far(learned: Baseline, fit: Fit, samples: int) -> bool:

@@ -168,11 +168,12 @@ def _diagnosed(
 ) -> Diagnosis:
     """Diagnose from one baseline: refit it and select causes, judge them, and build the result."""
     explanation = explained(request, start, unfitted, base=None if beside is None else beside.refit_of(start))
-    explanation = explanation if beside is None else beside.with_small_effects(explanation, unfitted)
     request, explanation = with_lost_rows_beside(request, explanation, unfitted)
     request, explanation = the_other_way(request, explanation, unfitted)
     request, explanation = on_longer_windows(request, explanation)
     judgement = judge(request, explanation)
+    if beside is not None:
+        explanation, judgement = beside.with_small_effects(explanation, judgement, unfitted)
     explanation, judgement = with_values_off_the_sheet(request, explanation, judgement)
     request, explanation, judgement = with_elastic_drives(request, explanation, judgement)
     request, explanation, judgement = on_shorter_windows(request, explanation, judgement, unfitted, chosen)

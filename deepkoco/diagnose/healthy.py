@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -20,7 +21,7 @@ from deepkoco.diagnose.baseline import (
 from deepkoco.diagnose.baseline_refit import refit_sharply
 from deepkoco.diagnose.between_rows import as_recorded
 from deepkoco.diagnose.causes import Cause, catalogue, is_changed, kind_of, measured_channels, shown_causes
-from deepkoco.diagnose.causes.timing import LOST_COMMANDS
+from deepkoco.diagnose.causes.timing import LOST_COMMANDS, STARTS
 from deepkoco.diagnose.evidence.classes import equivalent
 from deepkoco.diagnose.evidence.elimination import BENDING, eliminated
 from deepkoco.diagnose.evidence.priors import freed, prior_with
@@ -28,13 +29,15 @@ from deepkoco.diagnose.evidence.refine_ranking import front_settled
 from deepkoco.diagnose.evidence.selection import DETECTION, PATIENCE, rank
 from deepkoco.diagnose.evidence.start_values import Hints
 from deepkoco.diagnose.healthy_spread import Spread, spread_of
+from deepkoco.diagnose.late_speeds import delay_of_speeds
+from deepkoco.diagnose.left_of_logs import DELAYS
 from deepkoco.diagnose.lost_commands.report import best_losses
 from deepkoco.diagnose.progress import Progress, in_company_of, silent
-from deepkoco.diagnose.residuals.residuals import missing_torque
+from deepkoco.diagnose.residuals.residuals import missing_torque, white_limit
 from deepkoco.diagnose.run_to_run import RunToRun, posterior, unshown, with_ratios, within_bounds
 from deepkoco.diagnose.time_limit import TimeLimit
-from deepkoco.fit.data.windows import cut_windows, moving
-from deepkoco.fit.fit import FitProblem
+from deepkoco.fit.data.windows import Windows, cut_windows, moving
+from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.fit.solve.dispersion import dispersion
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.fit.solve.scaled_inverse import DivergedError
@@ -134,16 +137,15 @@ def _learn(
     windows = cut_windows(recordings, system, length)
     windows = windows.take(moving(windows))
     start = replace(with_gauges_fixed(baseline_from(system, windows), windows), near=near)
-    windows, fit = refit_sharply(start, windows)
+    causes = shown_causes(catalogue(start.system.base), measured_channels(recordings))
+    causes = [c for c in causes if not c.searched and c.free and not frees_scale(start, c)]
+    windows, fit, accepted = _refit_with_delays(start, windows, causes)
     # Its steps suit further logs of the recorder, its values may not.
     start = replace(start, near=Near({}, None, start.step) if math.isfinite(start.step) else None)
     # Run-to-run variation could be mistaken for an effect that all logs show, and such an effect for variation.
-    spread = spread_of(Healthy(tuple(recordings), windows, start, (), fit))
+    spread = spread_of(Healthy(tuple(recordings), windows, start, tuple(accepted), fit))
     spread, told = spread.with_floor() if each else spread, spread.healthy
-    accepted: list[Cause] = []
-    alike: dict[str, tuple[str, ...]] = {}
-    causes = shown_causes(catalogue(start.system.base), measured_channels(recordings))
-    causes = [c for c in causes if not c.searched and c.free and not frees_scale(start, c)]
+    alike: dict[str, tuple[str, ...]] = {c.name: (c.name,) for c in accepted}
     for _ in range(extension):
         fit, (counted, problem) = told.fit, told.counted()
         if not limit.allows("small effects that the healthy logs show"):
@@ -192,6 +194,58 @@ def _learn(
     except DivergedError as error:
         raise FloorError(str(error)) from error
     return replace(_learned(told, spread.runs), losing=losing)
+
+
+def _refit_with_delays(
+    start: Baseline, windows: Windows, causes: Sequence[Cause]
+) -> tuple[Windows, Fit, list[Cause]]:
+    """Refit healthy logs of a robot from a model file beside delays of its commands and speeds.
+
+    Its recorder has them nearly always. A speed that a drive has filtered for 3 ms leaves a thousand noise variances
+    without its delay; other small effects then imitate it, and each costs a ranking. So these are asked for first.
+
+    Args:
+        start: The baseline, with the delays that the question of the simulator has found.
+        windows: The windows.
+        causes: Small effects that may be learned.
+
+    Returns:
+        The windows under the estimated noise, the refit, and the delays that it needs.
+    """
+    if start.near is None:
+        return *refit_sharply(start, windows), []
+    known = dict(start.near.delays or {})
+    own, fit, kept = _refit_beside(start, windows, [c for c in causes if known.keys() & c.free], known)
+    usual = {*DELAYS, delay_of_speeds(start.system, windows)}
+    others = [c for c in causes if usual.issuperset(c.free) and c not in kept]
+    if not others or fit.chi2 <= white_limit(own) * own.samples:
+        return own, fit, kept
+    problem, both = FitProblem(start.system, own), [*kept, *others]
+    trials = [
+        freed(problem, start, both, fit, {**fit.values, **{n: at for c in others for n in c.free}})
+        for at in STARTS
+    ]
+    found = min(problem.fit(trials), key=lambda own: own.cost)
+    needed, found = eliminated(problem, start, both, found, DETECTION, least=0)
+    if found.diverged or len(needed) <= len(kept):
+        return own, fit, kept
+    # Steps and noise follow from what is left beside them.
+    again = replace(start, near=start.near._replace(values=found.values))
+    return _refit_beside(again, windows, needed, {n: found.values[n] for c in needed for n in c.free})
+
+
+def _refit_beside(
+    start: Baseline, windows: Windows, causes: Sequence[Cause], values: Mapping[str, float]
+) -> tuple[Windows, Fit, list[Cause]]:
+    """Refit beside some causes from these sizes, and return those of them that it needs."""
+    if causes:
+        at = {**start.values, **values}
+        prior = prior_with(FitProblem(start.system, windows), start, causes, at)
+        with contextlib.suppress(DivergedError):
+            own, fit = refit_sharply(replace(start, values=at, prior=prior), windows)
+            kept, fit = eliminated(FitProblem(start.system, own), start, causes, fit, DETECTION, least=0)
+            return own, fit, kept
+    return *refit_sharply(start, windows), []
 
 
 def _so_far(healthy: Healthy, spread: Spread) -> Baseline | None:

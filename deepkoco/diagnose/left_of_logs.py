@@ -170,7 +170,7 @@ class LeftOfLogs:
         """
         if left.values is None or left.per_sample > FAR:
             return None
-        # Delays of commands and speeds may be what is hidden in the logs.
+        # Delays of commands and speeds may be what is hidden in the logs, so they are told apart from the rest.
         body = baseline_from(law, self.windows).prior.names
         known = {n: v for n, v in left.values.items() if n in body}
         wander = self.windows.wander
@@ -185,7 +185,8 @@ class LeftOfLogs:
             ).wander
         wander = None if wander is None else wander.take(torch.zeros(0, dtype=torch.long))
         step = self.windows.step / self._parts if self._parts > 1 else math.inf
-        return Near(known, wander, step)
+        delays = {n: v for n, v in left.values.items() if n not in body and v > 0.0}
+        return Near(known, wander, step, delays)
 
     def undisturbed(self) -> Windows:
         """The windows of which no more is left than of most: in the others something happened, such as a push.

@@ -39,7 +39,8 @@ def shorter_first(
 ) -> Fit:
     """Fit parameters on windows; where that diverges or finds no minimum, on the shortest ones first, then longer ones.
 
-    A minimum that leaves a large misfit may be a false one, so short windows are asked there, too.
+    A minimum that leaves a large misfit may be a false one, so short windows are asked there, too. A fit that follows
+    the windows closely goes on.
 
     Args:
         system: The extended system.
@@ -61,8 +62,9 @@ def shorter_first(
     state, _ = problem.fit_states(values, windows.state)
     trial = Trial("windows", names, prior, values, state)
     found = problem.fit([trial], iterations, TO_BEGIN)[0]
-    followed = found.chi2 <= FOLLOWED * windows.samples
-    good = (begun or found.converged or followed) and not (found.diverged or found.stuck)
+    if not found.converged and found.chi2 <= FOLLOWED * windows.samples:
+        return problem.fit([trial.from_fit(found)], iterations, TO_BEGIN)[0]
+    good = (begun or found.converged) and not (found.diverged or found.stuck)
     if good and found.chi2 <= LARGE_MISFIT * windows.samples:
         return found
     levels = [problem]

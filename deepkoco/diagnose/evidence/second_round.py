@@ -15,7 +15,7 @@ from deepkoco.diagnose.evidence.promising import MARGIN
 from deepkoco.diagnose.evidence.ranking import penalty
 from deepkoco.diagnose.evidence.screening import StartPoint
 from deepkoco.diagnose.residuals.residuals import SLOTS, dispersion
-from deepkoco.diagnose.residuals.whiteness import more_than_noise
+from deepkoco.diagnose.residuals.whiteness import MAX_SD, more_than_noise
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit
 
@@ -47,7 +47,10 @@ def can_gain(
         promised: Cause -> largest fall of the cost by slopes, or by a fit.
         wanted: Fall of the BIC from which a cause is named.
     """
-    if more_than_noise(best, windows, start) is not None:
+    if start.healthy is None and more_than_noise(best, windows, start) is not None:
+        return True
+    # What the healthy unit leaves counts as noise, and its neighbouring residuals are alike.
+    if best.chi2 > start.most_noise(windows, MAX_SD) * windows.samples:
         return True
     spread = dispersion(best, windows)
     deflation = max(spread.deflation, start.least_deflation)

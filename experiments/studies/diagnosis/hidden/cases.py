@@ -5,17 +5,13 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from deepkoco.diagnose import Diagnosis, diagnose
-from deepkoco.diagnose.baseline import Baseline
-from deepkoco.diagnose.healthy import learn_baseline
-from deepkoco.fit import window_length
-from deepkoco.fit.threads import one_thread
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import make_system
 from tests.oracle.doses import FLOOR, dosed, effect_names, outside, outside_names, scaled
@@ -125,14 +121,9 @@ def judge(case: Case, recorded: Recorded, system: str, condition: str) -> dict[s
     """Diagnose a recorded case; one row of the study, plain values only."""
     log, healthy, hidden, strengths = recorded
     began = time.process_time()
-    baseline = None
-    if healthy:
-        physics = make_system(system)
-        with one_thread():
-            baseline = learn_baseline(healthy, physics, window_length(physics))
-    result = diagnose([log], system, seed=case.seed, baseline=baseline)
+    result = diagnose([log], system, healthy, seed=case.seed)
     spent = time.process_time() - began
-    oracle = _oracle(case, result, log, system, baseline)
+    oracle = _oracle(case, result, log, system, healthy)
     return {
         "index": case.index,
         "seed": case.seed,
@@ -197,12 +188,12 @@ def _estimates(result: Diagnosis, hidden: Hidden) -> list[dict[str, float | str]
 
 
 def _oracle(
-    case: Case, result: Diagnosis, log: Any, system: str, baseline: Baseline | None
+    case: Case, result: Diagnosis, log: Recording, system: str, healthy: Sequence[Recording]
 ) -> Diagnosis | None:
     """The same diagnosis by one who knows what is hidden: only the true causes are tried, and any gain counts."""
     if case.kind not in ("single", "pair") or result.gain is None or "event" in " ".join(case.names):
         return None
-    return diagnose([log], system, seed=case.seed, detection=0.0, only=case.names, baseline=baseline)
+    return diagnose([log], system, healthy, seed=case.seed, detection=0.0, only=case.names)
 
 
 def _gains(result: Diagnosis, oracle: Diagnosis | None) -> dict[str, float | str]:
