@@ -7,6 +7,7 @@ is less than the share from which a cause is named beside a first one, so it nee
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -25,6 +26,7 @@ from deepkoco.fit.solve.fine_steps import with_steps_of
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.logs.recording import Recording
 
+LOWER = 0.5  # times the floor of the last refit, below which another one may tell more
 ITERATIONS = 12  # of a fit that only shows that a refit leaves no more
 
 
@@ -39,6 +41,7 @@ class BesideHealthy:
         base: Refit of the logs to explain, where they are far beyond the healthy ones; None where they are not, or were
             not asked.
         near: Values with which a refit has followed them; empty where none was made, or none has followed them.
+        floor: Floor of the healthy logs beside which it was made.
     """
 
     request: DiagnosisRequest
@@ -46,6 +49,7 @@ class BesideHealthy:
     told: Near | None = None
     base: Refitted | None = None
     near: Mapping[str, float] = field(default_factory=dict)
+    floor: float = math.inf
 
     def learned(self) -> Baseline:
         """Return the baseline of the healthy logs, with those of their small effects that could be named.
@@ -73,6 +77,8 @@ class BesideHealthy:
         Args:
             learned: Baseline learned from the healthy logs, with what they leave so far.
         """
+        if learned.floor > LOWER * self.floor:
+            return False
         learned = self._begun(learned)
         if not _is_far(learned, _quickly_fitted(learned, self.request.data), self.request.data.train.samples):
             return False
@@ -82,6 +88,7 @@ class BesideHealthy:
             return False
         if not _is_far(learned, base.reference, base.train.samples):
             self.near = {n: base.reference.values[n] for n in learned.prior.names}
+            self.floor = learned.floor
             return False
         self.base = base
         return True
@@ -133,7 +140,8 @@ def _is_far(learned: Baseline, fit: Fit, samples: int) -> bool:
     """Return whether a fit, with the floor counted as noise, leaves enough more than the healthy logs leave."""
     if fit.diverged or learned.healthy is None:
         return False
-    more = (fit.chi2 / samples - 1.0) * learned.floor
+    # A refit that has left its prior far behind imitates something, and that is not small either.
+    more = (max(fit.chi2 / samples - 1.0, 0.0) + fit.penalty / samples) * learned.floor
     # An effect that a log at the floor just shows is one that it leaves.
     usual = max(learned.floor - 1.0, DETECTION / learned.healthy.windows.samples)
     return LEAST_SHARE * more > usual

@@ -24,7 +24,9 @@ from deepkoco.diagnose.causes import Cause, catalogue, is_changed, kind_of, meas
 from deepkoco.diagnose.causes.timing import LOST_COMMANDS, STARTS
 from deepkoco.diagnose.evidence.classes import equivalent
 from deepkoco.diagnose.evidence.elimination import BENDING, eliminated
+from deepkoco.diagnose.evidence.minor import tolerated
 from deepkoco.diagnose.evidence.priors import freed, prior_with
+from deepkoco.diagnose.evidence.ranking import Ranking
 from deepkoco.diagnose.evidence.refine_ranking import front_settled
 from deepkoco.diagnose.evidence.selection import DETECTION, PATIENCE, rank
 from deepkoco.diagnose.evidence.start_values import Hints
@@ -48,6 +50,9 @@ from deepkoco.systems import System
 
 # Largest number of small effects that are added to the baseline of a healthy unit.
 LARGEST_EXTENSION = 6
+SHARE_OF_BEST = (
+    0.5  # of what the best cause explains, from which another one is asked whether any machine has it
+)
 
 
 @one_thread()
@@ -139,9 +144,11 @@ def _learn(
     start = replace(with_gauges_fixed(baseline_from(system, windows), windows), near=near)
     causes = shown_causes(catalogue(start.system.base), measured_channels(recordings))
     causes = [c for c in causes if not c.searched and c.free and not frees_scale(start, c)]
+    usual = windows.steps
     windows, fit, accepted = _refit_with_delays(start, windows, causes)
     # Its steps suit further logs of the recorder, its values may not.
-    start = replace(start, near=Near({}, None, start.step) if math.isfinite(start.step) else None)
+    step = windows.step if windows.steps > usual else start.step
+    start = replace(start, near=Near({}, None, step) if math.isfinite(step) else None)
     # Run-to-run variation could be mistaken for an effect that all logs show, and such an effect for variation.
     spread = spread_of(Healthy(tuple(recordings), windows, start, tuple(accepted), fit))
     spread, told = spread.with_floor() if each else spread, spread.healthy
@@ -159,6 +166,8 @@ def _learn(
         # Small effects are sought, and none drives a refit far away.
         ranking = rank(problem, counted, fit, accepted, hints, causes, wanted=DETECTION, strong=False)
         if not ranking.candidates or ranking.best.delta_bic < DETECTION:
+            break
+        if _is_of_any_machine(problem, counted, ranking):
             break
         ranking = front_settled(problem, counted, accepted, ranking, forms=False)
         best = ranking.best
@@ -194,6 +203,22 @@ def _learn(
     except DivergedError as error:
         raise FloorError(str(error)) from error
     return replace(_learned(told, spread.runs), losing=losing)
+
+
+def _is_of_any_machine(problem: FitProblem, start: Baseline, ranking: Ranking) -> bool:
+    """Return whether what explains most of healthy logs is no more than any healthy machine has.
+
+    It would not be named for other logs either, so it need not be known. Millions of samples show a spring that gives a
+    ten-thousandth of a joint's load. Causes that explain much less may be more than that, but they mostly imitate it.
+
+    Args:
+        problem: The healthy logs.
+        start: Their baseline.
+        ranking: Causes on these logs.
+    """
+    least = SHARE_OF_BEST * ranking.best.delta_bic
+    leading = [c for c in ranking.candidates if c.delta_bic >= least and c.fit is not ranking.reference]
+    return all(tolerated(problem, start, c.cause, c.fit, ranking.deflation) for c in leading)
 
 
 def _refit_with_delays(
