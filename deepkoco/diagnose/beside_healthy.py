@@ -109,7 +109,8 @@ class BesideHealthy:
     def with_small_effects(
         self, explanation: Explanation, judgement: Judgement, unfitted: Sequence[str]
     ) -> tuple[Explanation, Judgement]:
-        """Explain the logs again, with all small effects of the healthy ones, where these may be what is left.
+        """Explain the logs again, with all small effects of the healthy ones, where these may be a second cause or what
+        is left.
 
         Args:
             explanation: Causes that were selected without these effects.
@@ -119,10 +120,11 @@ class BesideHealthy:
         Returns:
             The same, or what is named with these effects.
         """
-        base, known = explanation.base, explanation.base.learned.healthy
-        if judgement.verdict != "unknown" or self.base is None or known is None:
+        base, known, found = explanation.base, explanation.base.learned.healthy, explanation.found
+        if self.base is None or known is None:
             return explanation, judgement
-        if _is_far(base.learned, explanation.found.final, base.train.samples):
+        left = judgement.verdict == "unknown" and not _is_far(base.learned, found.final, base.train.samples)
+        if not left and len(found.accepted) < 2:
             return explanation, judgement
         if not self.request.limit.allows("small effects that the healthy logs show"):
             return explanation, judgement
