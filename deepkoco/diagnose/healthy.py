@@ -167,7 +167,7 @@ def _learn(
         ranking = rank(problem, counted, fit, accepted, hints, causes, wanted=DETECTION, strong=False)
         if not ranking.candidates or ranking.best.delta_bic < DETECTION:
             break
-        if _is_of_any_machine(problem, counted, ranking):
+        if is_of_any_machine(problem, counted, ranking):
             break
         ranking = front_settled(problem, counted, accepted, ranking, forms=False)
         best = ranking.best
@@ -205,7 +205,7 @@ def _learn(
     return replace(_learned(told, spread.runs), losing=losing)
 
 
-def _is_of_any_machine(problem: FitProblem, start: Baseline, ranking: Ranking) -> bool:
+def is_of_any_machine(problem: FitProblem, start: Baseline, ranking: Ranking) -> bool:
     """Return whether what explains most of healthy logs is no more than any healthy machine has.
 
     It would not be named for other logs either, so it need not be known. Millions of samples show a spring that gives a

@@ -40,7 +40,7 @@ def shorter_first(
     """Fit parameters on windows; where that diverges or finds no minimum, on the shortest ones first, then longer ones.
 
     A minimum that leaves a large misfit may be a false one, so short windows are asked there, too. A fit that follows
-    the windows closely goes on.
+    the windows closely goes on first.
 
     Args:
         system: The extended system.
@@ -62,8 +62,8 @@ def shorter_first(
     state, _ = problem.fit_states(values, windows.state)
     trial = Trial("windows", names, prior, values, state)
     found = problem.fit([trial], iterations, TO_BEGIN)[0]
-    if not found.converged and found.chi2 <= FOLLOWED * windows.samples:
-        return problem.fit([trial.from_fit(found)], iterations, TO_BEGIN)[0]
+    if not (begun or found.converged) and found.chi2 <= FOLLOWED * windows.samples:
+        found = problem.fit([trial.from_fit(found)], iterations)[0]
     good = (begun or found.converged) and not (found.diverged or found.stuck)
     if good and found.chi2 <= LARGE_MISFIT * windows.samples:
         return found

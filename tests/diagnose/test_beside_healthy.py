@@ -11,13 +11,18 @@ from deepkoco.diagnose.baseline_refit import refit_counting_floor, refit_sharply
 from deepkoco.diagnose.beside_healthy import BesideHealthy
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.data import cut_data
+from deepkoco.diagnose.evidence import seen_when_healthy
 from deepkoco.diagnose.evidence.minor import LEAST_SHARE
+from deepkoco.diagnose.evidence.priors import freed, prior_with
+from deepkoco.diagnose.evidence.ranking import Candidate, Ranking
+from deepkoco.diagnose.evidence.seen_when_healthy import Hypothesis, consistent_with_healthy
 from deepkoco.diagnose.evidence.selection import DETECTION
-from deepkoco.diagnose.healthy import learn_as_simulated, learn_baseline
+from deepkoco.diagnose.healthy import is_of_any_machine, learn_as_simulated, learn_baseline
 from deepkoco.diagnose.progress import silent
 from deepkoco.diagnose.request import DiagnosisRequest
 from deepkoco.fit.data.windows import cut_windows, moving, window_length
 from deepkoco.fit.fit import FitProblem, Trial
+from deepkoco.fit.solve.dispersion import dispersion
 from deepkoco.systems import make_system
 from tests.oracle.unit import hidden_log
 
@@ -94,6 +99,36 @@ def test_a_refit_that_counts_the_floor_is_one_under_a_larger_noise(plain):
     again = problem.fit_one(Trial("refit", fit.free, start.prior, fit.values).from_fit(fit))
     assert again.cost == pytest.approx(fit.cost, rel=1e-3)
     assert fit.cost / counted.samples < 3.0
+
+
+def test_a_cause_that_the_healthy_log_plainly_denies_needs_no_further_fits(plain, monkeypatch):
+    windows = cut_windows([hidden_log("rod_pendulum", HEAVY, "steps", SEED, 12.0)], SYSTEM, LENGTH)
+    windows, reference = refit_sharply(plain, windows.take(moving(windows)))
+    problem, gain = FitProblem(plain.system, windows), catalogue(SYSTEM)["gain"]
+    prior = prior_with(problem, plain, [gain], reference.values)
+    trial = Trial("gain", prior.names, prior, {**reference.values, "gain.factor": 0.6}, reference.state)
+    claim = Hypothesis(gain, (), problem.fit([trial], 60)[0])
+    assert seen_when_healthy.compared(plain, problem, plain.healthy, [claim]) == [False]
+    compared = []
+    monkeypatch.setattr(seen_when_healthy, "compared", lambda *a: compared.append(a))
+    assert consistent_with_healthy(plain, problem, [claim]) == [False]
+    assert compared == []
+
+
+def test_an_effect_of_any_machine_ends_the_learning(plain):
+    told = plain.healthy
+    counted, problem = told.counted()
+    coulomb = catalogue(SYSTEM)["coulomb"]
+    at = {**told.fit.values, "coulomb.torque": 0.01}
+    fit = problem.fit_one(freed(problem, counted, [coulomb], told.fit, at))
+    candidates = (
+        Candidate(coulomb, fit, 60.0, 50.0),
+        Candidate(catalogue(SYSTEM)["lag"], told.fit, 9.0, 2.0),
+    )
+    ranking = Ranking(told.fit, candidates, dispersion(told.fit, problem.windows), 1.0, 500.0)
+    assert not is_of_any_machine(problem, counted, ranking)
+    # Of a machine that is known so roughly, this friction says nothing.
+    assert is_of_any_machine(problem, replace(counted, roughness=1e3), ranking)
 
 
 @pytest.mark.study
