@@ -139,7 +139,7 @@ def closest_of_logs(
         if _matters(late, held) or _creeps_late(system, left, late):
             other, leaves_late = closest(system, left.late, nearest, NEAR, late, left.noise)
             plainly = leaves_late.per_sample <= NOISE or leaves_late.cost <= LATE * late.cost
-            told = late
+            told = late if _matters(late, held) else leaves
             if other.engine is not None and plainly:
                 law, leaves, told = other, leaves_late, leaves_late
     return _closest(law, leaves, told, left)
@@ -151,19 +151,12 @@ def _matters(late: Left, than: Left) -> bool:
 
 
 def _creeps_late(machine: System, left: LeftOfLogs, late: Left) -> bool:
-    """Return whether friction that creeps, beside a delay of all commands, leaves little of what either alone leaves.
+    """Return whether friction that creeps, beside a delay of all commands, leaves little of what the delay leaves.
 
     Each hides the other: a machine left 339 noise variances of an arm whose engine had its commands 2 ms late, friction
     that creeps left 174, the delay 116, and both together 1.5.
-
-    Args:
-        machine: The system.
-        left: Which is asked.
-        late: What the machine leaves beside such a delay.
     """
-    if MUJOCO not in machine.engines:
-        return False
-    return _matters(left.late(_in_steps(machine, MUJOCO, 0.0), late), late)
+    return MUJOCO in machine.engines and _matters(left.late(_in_steps(machine, MUJOCO, 0.0), late), late)
 
 
 def _of_short_steps(machine: System, left: LeftOfLogs, held: Left) -> Closest | None:

@@ -100,7 +100,7 @@ class Baseline:
         early: Time by which the commands of its logs act before their rows [s]; see
             :mod:`deepkoco.diagnose.between_rows`.
         near: What earlier fits of the logs have told, from which the next ones begin; None for none. One that was
-            learned from healthy logs keeps the step alone.
+            learned from healthy logs keeps the step alone, or values of the logs to explain.
     """
 
     system: ExtendedSystem

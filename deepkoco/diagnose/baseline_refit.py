@@ -12,7 +12,7 @@ import torch
 
 from deepkoco.diagnose.baseline import Baseline, counting_floor
 from deepkoco.diagnose.residuals.residuals import white_limit
-from deepkoco.diagnose.shorter_first import FOLLOWED, shorter_first
+from deepkoco.diagnose.shorter_first import shorter_first
 from deepkoco.fit.data.halves import halved
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import ITERATIONS, Fit, FitProblem, Trial
@@ -68,7 +68,7 @@ def refit(
     found = problem.fit_one(
         Trial("refit", names, start.prior, first.values, state, first.nuisance), tolerance=tolerance
     )
-    if not (first.stuck or found.stuck) or found.chi2 <= FOLLOWED * windows.samples:
+    if not (first.stuck or found.stuck):
         return found
     state, _ = problem.fit_states(start.values, windows.state)
     again = problem.fit([Trial("refit", names, start.prior, start.values, state)], LONG, tolerance)[0]
@@ -261,8 +261,9 @@ def refit_of_known_recorder(start: Baseline, windows: Windows) -> tuple[Windows,
         DivergedError: The simulation diverges at the present values.
     """
     usual, windows = windows.steps, with_steps_of(windows, start.step)
+    problem_of = partial(FitProblem, start.system)
     if windows.wander is None:
-        windows = with_noise_like(partial(FitProblem, start.system), windows, start.values, start.wander)
+        windows = with_noise_like(problem_of, windows, start.begun().values, start.wander)
     begun = start.near is not None and any(n in start.near.values for n in start.prior.names)
     try:
         first = from_shorter_windows(*counting_floor(start.begun(), windows), start.prior.names, begun)
@@ -270,6 +271,9 @@ def refit_of_known_recorder(start: Baseline, windows: Windows) -> tuple[Windows,
         if not begun:
             raise
         first = from_shorter_windows(*counting_floor(start, windows), start.prior.names)
+    if windows.wander is None:
+        # At the values of the healthy logs, whole windows may run away.
+        windows = with_noise_like(problem_of, windows, first.values, start.wander)
     return _refit_sharply(start, windows, first, usual)
 
 

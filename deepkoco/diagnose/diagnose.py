@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 from deepkoco.diagnose.baseline import (
     Baseline,
@@ -19,15 +20,17 @@ from deepkoco.diagnose.causes import catalogue, causes_named, measured_channels,
 from deepkoco.diagnose.data import MIN_TRAINING_WINDOWS, cut_data
 from deepkoco.diagnose.diagnosis import Diagnosis
 from deepkoco.diagnose.evidence.selection import DETECTION
+from deepkoco.diagnose.explanation import Explanation
 from deepkoco.diagnose.longer_windows import on_longer_windows
 from deepkoco.diagnose.lost_rows import with_lost_rows_beside
 from deepkoco.diagnose.probability.shadow import with_evidence
 from deepkoco.diagnose.progress import Progress, silent
+from deepkoco.diagnose.refitted import Refitted
 from deepkoco.diagnose.request import DiagnosisRequest
 from deepkoco.diagnose.the_other_way import the_other_way
 from deepkoco.diagnose.time_limit import TimeLimit
 from deepkoco.diagnose.verdict.elastic_drives import with_elastic_drives
-from deepkoco.diagnose.verdict.judgement import judge
+from deepkoco.diagnose.verdict.judgement import Judgement, judge
 from deepkoco.diagnose.verdict.off_the_sheet import with_values_off_the_sheet
 from deepkoco.diagnose.verdict.result import diagnosis_of, insufficient
 from deepkoco.diagnose.verdict.shorter_windows import on_shorter_windows
@@ -167,16 +170,32 @@ def _diagnosed(
     beside: BesideHealthy | None = None,
 ) -> Diagnosis:
     """Diagnose from one baseline: refit it and select causes, judge them, and build the result."""
-    explanation = explained(request, start, unfitted, base=None if beside is None else beside.refit_of(start))
-    request, explanation = with_lost_rows_beside(request, explanation, unfitted)
-    request, explanation = the_other_way(request, explanation, unfitted)
-    request, explanation = on_longer_windows(request, explanation)
-    judgement = judge(request, explanation)
+    base = None if beside is None else beside.refit_of(start)
+    found = _judged(start, request, unfitted, base)
     if beside is not None:
-        explanation, judgement = beside.with_small_effects(explanation, judgement, unfitted)
+        found = beside.with_small_effects(found, partial(_judged, request=request, unfitted=unfitted))
+    request, explanation, judgement = found
     explanation, judgement = with_values_off_the_sheet(request, explanation, judgement)
     request, explanation, judgement = with_elastic_drives(request, explanation, judgement)
     request, explanation, judgement = on_shorter_windows(request, explanation, judgement, unfitted, chosen)
     weighed = request.evidence and request.limit.allows("probabilities of the causes")
     result = diagnosis_of(request, explanation, judgement)
     return with_evidence(result, request, explanation.base, explanation.weights) if weighed else result
+
+
+def _judged(
+    start: Baseline, request: DiagnosisRequest, unfitted: Sequence[str], base: Refitted | None = None
+) -> tuple[DiagnosisRequest, Explanation, Judgement]:
+    """Select causes on one baseline, on longer windows where they allow that, and judge them.
+
+    Args:
+        start: The baseline.
+        request: The logs.
+        unfitted: What could not be fitted so far, in words.
+        base: Its refit, where it is known.
+    """
+    explanation = explained(request, start, unfitted, base=base)
+    request, explanation = with_lost_rows_beside(request, explanation, unfitted)
+    request, explanation = the_other_way(request, explanation, unfitted)
+    request, explanation = on_longer_windows(request, explanation)
+    return request, explanation, judge(request, explanation)

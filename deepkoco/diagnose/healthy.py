@@ -48,7 +48,7 @@ from deepkoco.logs.held_values import with_held_values
 from deepkoco.logs.recording import Recording
 from deepkoco.systems import System
 
-# Largest number of small effects that are added to the baseline of a healthy unit.
+# Largest number of small effects that are added to the baseline of a healthy unit, beside delays of its recorder.
 LARGEST_EXTENSION = 6
 SHARE_OF_BEST = (
     0.5  # of what the best cause explains, from which another one is asked whether any machine has it
@@ -78,7 +78,7 @@ def learn_baseline(
         system: The system.
         length: Length of the windows [s].
         progress: Called with the name of each step.
-        extension: Largest number of small effects that are added.
+        extension: Largest number of small effects that are added, beside delays of the recorder.
         limit: Asked before each of them; it remembers what it refused. None allows all.
     """
     recordings = [with_held_values(log) for log in recordings]
@@ -157,10 +157,8 @@ def _learn(
         fit, (counted, problem) = told.fit, told.counted()
         if not limit.allows("small effects that the healthy logs show"):
             break
-        if enough is not None and (so_far := _so_far(told, spread)) is not None:
-            progress("refit of the simulation as the healthy logs tell it")
-            if enough(so_far):
-                break
+        if enough is not None and (so_far := _so_far(told, spread)) is not None and enough(so_far):
+            break
         progress(f"healthy logs: fitting every cause{in_company_of(c.name for c in accepted)}")
         hints = Hints(start.system, windows, missing_torque(problem, fit), fit.chi2 / windows.samples)
         # Small effects are sought, and none drives a refit far away.
@@ -218,7 +216,9 @@ def is_of_any_machine(problem: FitProblem, start: Baseline, ranking: Ranking) ->
     """
     least = SHARE_OF_BEST * ranking.best.delta_bic
     leading = [c for c in ranking.candidates if c.delta_bic >= least and c.fit is not ranking.reference]
-    return all(tolerated(problem, start, c.cause, c.fit, ranking.deflation) for c in leading)
+    return bool(leading) and all(
+        tolerated(problem, start, c.cause, c.fit, ranking.deflation) for c in leading
+    )
 
 
 def _refit_with_delays(
@@ -251,8 +251,10 @@ def _refit_with_delays(
         for at in STARTS
     ]
     found = min(problem.fit(trials), key=lambda own: own.cost)
+    if found.diverged:
+        return own, fit, kept
     needed, found = eliminated(problem, start, both, found, DETECTION, least=0)
-    if found.diverged or len(needed) <= len(kept):
+    if len(needed) <= len(kept):
         return own, fit, kept
     # Steps and noise follow from what is left beside them.
     again = replace(start, near=start.near._replace(values=found.values))

@@ -1,12 +1,14 @@
 """Small effects of healthy logs are learned only where they could be named for the other logs."""
 
 from dataclasses import replace
+from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from deepkoco.diagnose import diagnose
-from deepkoco.diagnose.baseline import counting_floor
+from deepkoco.diagnose.baseline import counting_floor, noisier
 from deepkoco.diagnose.baseline_refit import refit_counting_floor, refit_sharply
 from deepkoco.diagnose.beside_healthy import BesideHealthy
 from deepkoco.diagnose.causes import catalogue
@@ -16,7 +18,9 @@ from deepkoco.diagnose.evidence.minor import LEAST_SHARE
 from deepkoco.diagnose.evidence.priors import freed, prior_with
 from deepkoco.diagnose.evidence.ranking import Candidate, Ranking
 from deepkoco.diagnose.evidence.seen_when_healthy import Hypothesis, consistent_with_healthy
+from deepkoco.diagnose.evidence.selected import Selected
 from deepkoco.diagnose.evidence.selection import DETECTION
+from deepkoco.diagnose.explanation import Explanation
 from deepkoco.diagnose.healthy import is_of_any_machine, learn_as_simulated, learn_baseline
 from deepkoco.diagnose.progress import silent
 from deepkoco.diagnose.request import DiagnosisRequest
@@ -65,6 +69,8 @@ def test_logs_are_far_beyond_healthy_ones_where_they_leave_fifty_times_more(heal
     assert LEAST_SHARE * (left - 1.0) * plain.floor > plain.floor - 1.0 > 0.0
     assert base.start.losing == (0,)
     assert base.start.floor == 1.0
+    # Of a baseline with another effect it is none, nor where no refit was needed to tell.
+    assert far.refit_of(replace(plain, effects=("coulomb",))) is None
     assert near.refit_of(plain) is None
 
 
@@ -115,6 +121,21 @@ def test_a_cause_that_the_healthy_log_plainly_denies_needs_no_further_fits(plain
     assert compared == []
 
 
+def test_a_healthy_log_that_says_nothing_of_a_cause_does_not_deny_it(plain, monkeypatch):
+    told = plain.healthy
+    blind = replace(told, windows=noisier(told.windows, 1e12))
+    start, coulomb = replace(plain, healthy=blind), catalogue(SYSTEM)["coulomb"]
+    problem = FitProblem(plain.system, told.windows)
+    at = {**told.fit.values, "coulomb.torque": 0.02}
+    fit = problem.fit_one(freed(problem, plain, [coulomb], told.fit, at))
+    # Forty times the size of a usual small fault.
+    much = 40.0 * plain.system.parameter("coulomb.torque").prior_sd
+    claim = Hypothesis(coulomb, (), replace(fit, values={**fit.values, "coulomb.torque": much}))
+    monkeypatch.setattr(seen_when_healthy, "compared", lambda *a: [True])
+    assert consistent_with_healthy(start, problem, [claim]) == [True]
+    assert consistent_with_healthy(plain, problem, [claim]) == [False]
+
+
 def test_an_effect_of_any_machine_ends_the_learning(plain):
     told = plain.healthy
     counted, problem = told.counted()
@@ -129,6 +150,27 @@ def test_an_effect_of_any_machine_ends_the_learning(plain):
     assert not is_of_any_machine(problem, counted, ranking)
     # Of a machine that is known so roughly, this friction says nothing.
     assert is_of_any_machine(problem, replace(counted, roughness=1e3), ranking)
+
+
+@pytest.mark.parametrize(("causes", "again"), [(1, False), (2, True)])
+def test_small_effects_are_learned_after_all_where_a_second_cause_is_named(healthy, plain, causes, again):
+    logs = beside(healthy, HEAVY)
+    assert logs.are_far_beyond(plain)
+    base = logs.refit_of(plain)
+    first = tuple(catalogue(SYSTEM)[n] for n in ("gain", "lag")[:causes])
+    selected = Selected(base.reference, first, (), base.problem)
+    ranking = Ranking(base.reference, (), dispersion(base.reference, base.train), 1.0, 500.0)
+    explanation = Explanation(base, ranking, selected, (), ())
+    found = logs.request, explanation, SimpleNamespace(verdict="cause")
+    learned = []
+
+    def explain(baseline, verdict="cause"):
+        learned.append(baseline)
+        return logs.request, explanation, SimpleNamespace(verdict=verdict)
+
+    assert (logs.with_small_effects(found, explain) is not found) == again
+    assert [len(own.effects) > 0 for own in learned] == [True] * again
+    assert logs.with_small_effects(found, partial(explain, verdict="unknown")) is found
 
 
 @pytest.mark.study

@@ -75,8 +75,9 @@ def consistent_with_healthy(
         return [False] * len(hypotheses)
     known = {c.name for c in healthy.causes}
     asked = np.array([h.cause.name not in known for h in hypotheses])
-    if start.runs is None:
-        asked &= ~np.array(_plainly_apart(start, problem, healthy, hypotheses))
+    if start.runs is None and asked.any():
+        new = [hypotheses[k] for k in np.flatnonzero(asked).tolist()]
+        asked[asked] = ~np.array(_plainly_apart(start, problem, healthy, new))
     before = np.full(len(hypotheses), False)
     if asked.any():
         before[asked] = compared(
@@ -128,10 +129,17 @@ def _plainly_apart(
     """
     asked = [h for h in hypotheses if set(h.cause.free).isdisjoint(start.prior.names)]
     before, own = healthy.counted()
-    trials = [
-        freed(own, before, (*healthy.causes, h.cause), healthy.fit, {**healthy.fit.values}) for h in asked
-    ]
-    fits = dict(zip((h.cause.name for h in asked), own.fit(trials, PATIENCE, CLOSE), strict=True))
+    trials = []
+    for cause, _, fit in asked:
+        # The prior is as wide as the other estimate is large: a log that says nothing of the cause leaves it open.
+        values = {**healthy.fit.values, **{n: fit.values[n] for n in cause.free}}
+        trial = freed(own, before, (*healthy.causes, cause), healthy.fit, values)
+        trials += [trial, replace(trial, values=healthy.fit.values)]
+    found = own.fit(trials, PATIENCE, CLOSE)
+    fits = {
+        h.cause.name: min(both, key=lambda fit: fit.cost)
+        for h, *both in zip(asked, found[::2], found[1::2], strict=True)
+    }
     apart = []
     for cause, _, fit in hypotheses:
         there = fits.get(cause.name)
