@@ -35,3 +35,23 @@ def near_sine_and_cosine(x):
     half = np.floor(0.5 * quadrant)
     odd, sign = quadrant - 2.0 * half > 0.5, 1.0 - 2.0 * half
     return sign * (cosine if odd else sine), sign * (-sine if odd else cosine)
+
+
+HALVINGS = 7
+FADED = 40.0  # beyond it, what is left is less than the last bit of 1
+
+
+@njit(inline="always", error_model="numpy")
+def faded(x):
+    """1 - exp(-x) of a number that is not negative, to some ten last bits.
+
+    Source: the Taylor series of a small part of the number, then 1 - exp(-2 y) = f (2 - f) with f = 1 - exp(-y).
+    """
+    y = (x if x < FADED else FADED) / 128.0
+    f = 1.0 - y / 12.0
+    for n in range(11, 1, -1):
+        f = 1.0 - y / n * f
+    f *= y
+    for _ in range(HALVINGS):
+        f *= 2.0 - f
+    return f

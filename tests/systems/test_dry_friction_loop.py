@@ -5,6 +5,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from deepkoco.systems.creep import Creep
 from deepkoco.systems.dry_friction import Rubbed, rubbed
 
 H = 0.01
@@ -56,3 +57,31 @@ def test_compiled_sweeps_end_where_an_element_is_not_finite(bad):
     found, clean = rubbed(*values, H), rubbed(*case(3, 3, 3), H)
     for a, b in zip(found.speed, clean.speed, strict=True):
         torch.testing.assert_close(a[1:], b[1:])
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 10_000), joints=st.integers(1, 4), inertia=st.floats(0.1, 100.0))
+def test_compiled_sweeps_agree_with_those_in_torch_where_friction_creeps(seed, joints, inertia):
+    values = case(seed, joints, joints)
+    creeps = tuple(Creep(torch.tensor(inertia, dtype=torch.float64), 100.0) for _ in range(joints))
+    found = rubbed(*values, H, creeps)
+    wanted = rubbed(tuple(v.clone().requires_grad_() for v in values[0]), *values[1:], H, creeps)
+    for a, b in zip((*found.speed, *found.moved), (*wanted.speed, *wanted.moved), strict=True):
+        torch.testing.assert_close(a, b.detach(), rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("creeps", [False, True])
+def test_an_element_does_not_depend_on_those_that_are_computed_with_it(creeps):
+    """Whether a fit simulates a set of parameters alone or with others changes no bit of it."""
+    values = case(7, 3, 3, lanes=9, windows=9)
+    soft = tuple(Creep(torch.tensor(2.0, dtype=torch.float64), 100.0) for _ in range(3)) if creeps else None
+    every = rubbed(*values, H, soft)
+    for window, lane in ((0, 0), (3, 8), (8, 4)):
+        inverse = tuple(tuple(w[window : window + 1, lane : lane + 1] for w in row) for row in values[5])
+        before, after, applied = (
+            tuple(v[window : window + 1, lane : lane + 1] for v in part) for part in values[:3]
+        )
+        slide, stick = (tuple(v[lane : lane + 1] for v in part) for part in values[3:5])
+        alone = rubbed(before, after, applied, slide, stick, inverse, H, soft)
+        for a, b in zip((*alone.speed, *alone.moved), (*every.speed, *every.moved), strict=True):
+            assert torch.equal(a[0, 0], b[window, lane])

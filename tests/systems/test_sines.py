@@ -1,17 +1,31 @@
-"""Sines of rows of numbers against those of the library."""
+"""Sines and exponentials of rows of numbers against those of the library."""
 
 import numpy as np
 import pytest
 from numba import njit
 
 from deepkoco.fit.simulate.bytecode.machine import OPCODES, execute
-from deepkoco.systems.sines import FARTHEST, near_sine_and_cosine
+from deepkoco.systems.sines import FADED, FARTHEST, faded, near_sine_and_cosine
 
 
 @njit
 def _of_each(x, sine, cosine):
     for i in range(len(x)):
         sine[i], cosine[i] = near_sine_and_cosine(x[i])
+
+
+@njit
+def _faded(x, result):
+    for i in range(len(x)):
+        result[i] = faded(x[i])
+
+
+def test_what_has_faded_is_that_of_the_library():
+    rng = np.random.default_rng(0)
+    x = np.concatenate([10.0 ** rng.uniform(-300.0, 2.0, 20000), [0.0, FADED, 1e300, np.inf]])
+    found = np.empty_like(x)
+    _faded(x, found)
+    np.testing.assert_allclose(found, -np.expm1(-x), rtol=4e-15, atol=0.0)
 
 
 def test_sines_near_zero_and_far_away_are_those_of_the_library():

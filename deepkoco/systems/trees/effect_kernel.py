@@ -6,13 +6,13 @@ import math
 
 from numba import njit
 
+from deepkoco.systems.block_sizes import LANES, in_lanes, in_rows
 from deepkoco.systems.sines import FARTHEST, near_sine_and_cosine
-from deepkoco.systems.trees.block_sizes import LANES, in_lanes, in_rows
 from deepkoco.systems.trees.learned_kernel import add_term
 from deepkoco.systems.uncounted import UNCOUNTED
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "9ef697abfee17083"
+COMPILED_WITH = "43de28462934bec5"
 
 # Loads of effects that the loop knows; those from STRIBECK to before LEARNED are levels of dry friction. From LEARNED
 # on, each is a term of a learned load.

@@ -2,7 +2,7 @@
 
 Elements are computed in blocks of `LANES`. Inside a block, each quantity of a joint is a row of `LANES` numbers, and
 every statement is a loop over one row, which the compiler turns into vector instructions where it knows that no two
-rows overlap: inner sizes are constants (:mod:`deepkoco.systems.trees.block_sizes`), and what a joint takes from its
+rows overlap: inner sizes are constants (:mod:`deepkoco.systems.block_sizes`), and what a joint takes from its
 parent or gives to it passes through an array of its own.
 
 Source: the recursions of :mod:`deepkoco.systems.trees.dynamics`.
@@ -15,7 +15,7 @@ import math
 import numpy as np
 from numba import njit
 
-from deepkoco.systems.trees.block_sizes import LANES, in_lanes, in_rows
+from deepkoco.systems.block_sizes import LANES, in_lanes, in_rows
 from deepkoco.systems.trees.mass_matrix_kernel import factorise, fill_mass, gather_inertias, solve
 from deepkoco.systems.trees.newton_euler_kernel import (
     COS,
@@ -32,7 +32,7 @@ from deepkoco.systems.trees.newton_euler_kernel import (
 )
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "51b7c27b90f4b40f"
+COMPILED_WITH = "d3d147f9b2b8e46f"
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

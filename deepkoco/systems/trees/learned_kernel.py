@@ -6,12 +6,12 @@ import math
 
 from numba import njit
 
+from deepkoco.systems.block_sizes import LANES
 from deepkoco.systems.effects.learned import PLACES, REACH, SHARP, TERMS
-from deepkoco.systems.trees.block_sizes import LANES
 from deepkoco.systems.uncounted import UNCOUNTED
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "17e781271967e03a"
+COMPILED_WITH = "c0da90697d7c5c20"
 
 # Positions of the terms in `TERMS`.
 (

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from numba import njit
 
-from deepkoco.systems.trees.block_sizes import LANES
+from deepkoco.systems.block_sizes import LANES
 from deepkoco.systems.trees.newton_euler_kernel import COS, INERTIA, LOAD, OFFSET, SIN
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "a7a1de9f9998b7c3"
+COMPILED_WITH = "c2e6770fdbf85508"
 
 
 @njit(inline="always", error_model="numpy")

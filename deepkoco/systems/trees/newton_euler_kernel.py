@@ -9,11 +9,11 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from deepkoco.systems.block_sizes import LANES
 from deepkoco.systems.sines import FARTHEST, near_sine_and_cosine
-from deepkoco.systems.trees.block_sizes import LANES
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "78416c9fd158b1e1"
+COMPILED_WITH = "7e8d1d8a3dc32048"
 
 # Rows of a joint.
 COS, SIN, OFFSET, SPIN, SWING, PULL, FORCE, TORQUE, INERTIA, LOAD, ROWS = (

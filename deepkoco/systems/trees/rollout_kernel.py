@@ -12,16 +12,23 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from deepkoco.systems.dry_friction import HUGE
-from deepkoco.systems.dry_friction_loop import rub_in_step, slips
-from deepkoco.systems.trees.block_sizes import LANES
+from deepkoco.systems.block_sizes import LANES
+from deepkoco.systems.dry_friction_loop import BLOCK_ROWS, JOINT_ROWS, rub_in_step
 from deepkoco.systems.trees.effect_kernel import MOST_VALUES, is_level
+from deepkoco.systems.trees.friction_kernel import (
+    as_directions,
+    loads_of_levels,
+    mark_turned,
+    mean_accelerations,
+    take_impulses,
+    take_motion,
+)
 from deepkoco.systems.trees.mass_matrix_kernel import solve
 from deepkoco.systems.trees.newton_euler_kernel import LOAD, ROWS, SPARE
 from deepkoco.systems.trees.step_kernel import mean_levels, runge_kutta
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "6cd7ecf0e6c4842a"
+COMPILED_WITH = "f5f5118a2ce6b894"
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -70,7 +77,7 @@ def tree_rollout(
     stages = np.empty((10, joints, LANES))
     which = np.arange(LANES)
     pieces = max(len(length) // steps, 1) if steps else 1
-    h, since, live = np.full(LANES, step), np.zeros(LANES), np.ones(LANES, np.bool_)
+    h, since = np.full(LANES, step), np.zeros(LANES)
     forces = np.empty((max(motors, 1), LANES))
     level = np.empty((joints, LANES))
     efforts, times = np.empty((3, max(motors, 1), LANES)), np.empty((3, LANES))
@@ -85,12 +92,17 @@ def tree_rollout(
     )  # fmt: skip
     load, moving, resting, hold = friction[0], friction[1], friction[2], friction[3]
     inverse = np.empty((joints, joints, LANES))
-    accelerated, is_rubbing = np.empty(joints), np.zeros(joints, np.bool_)
+    accelerated, is_rubbing = np.empty((joints, LANES)), np.zeros(joints, np.bool_)
     own_ahead, some_ahead = np.empty((joints, LANES)), ahead.any()
-    bare, spared = np.empty((joints, joints, LANES)), np.empty((2, joints))
+    bare, spared, had = (
+        np.empty((joints, joints, LANES)),
+        np.empty((joints, LANES)),
+        np.empty((len(rubbing), LANES)),
+    )
+    joint_rows, block_rows = np.zeros((len(rubbing), JOINT_ROWS, LANES)), np.empty((BLOCK_ROWS, LANES))
     for r in range(len(rubbing)):
         is_rubbing[rubbing[r]] = True
-    turned = np.zeros(LANES, np.bool_)
+    turned = np.zeros(LANES)
     own = (own_inertia, own_gravity, own_passive, own_law)
     effects = (kinds, places, own_values, varies, pulled, own_pulls)
     for at in range(0, count, LANES):
@@ -131,8 +143,7 @@ def tree_rollout(
                     since[i] = 0.0 if piece == 0 else since[i]
                     if len(length):
                         h[i] = length[n * pieces + piece, sent[at + min(i, size - 1)]]
-                        live[i] = h[i] > 0.0
-                        some |= live[i]
+                        some |= h[i] > 0.0
                 if not some:
                     continue
                 for i in range(LANES):
@@ -157,36 +168,15 @@ def tree_rollout(
                     tree, own, effects, rows, masses, which, forces, level, stages, angle, speed, efforts, times, push,
                     own_steady, direction, h, late, impulsive, q, v, first, last,
                 )  # fmt: skip
-                some = False
-                for i in range(LANES):
-                    turned[i] = False
                 if len(rubbing) and own_creeps[0, 0, 0] > 0.0:
                     mean_levels(
                         tree, own, effects, forces, own_steady, angle, speed, 1.0, efforts, scratch, end, slide,
                     )  # fmt: skip
-                for r in range(len(rubbing)):
-                    j = rubbing[r]
-                    for i in range(LANES):
-                        if live[i] and speed[j, i] * v[j, i] <= 0.0:
-                            turned[i] = True
-                            some = True
-                    if own_creeps[r, 0, 0] > 0.0:
-                        for i in range(LANES):
-                            if live[i] and not slips(
-                                speed[j, i],
-                                v[j, i],
-                                first[j, i],
-                                last[j, i],
-                                slide[j, i],
-                                own_creeps[r, 0, i],
-                                own_creeps[r, 1, i],
-                            ):
-                                turned[i] = True
-                                some = True
+                count_turned = mark_turned(rubbing, own_creeps, speed, v, first, last, slide, h, turned)
                 for k in range(joints):
                     for i in range(LANES):
-                        held[k, i] = 0.0 if live[i] else held[k, i]
-                if some:
+                        held[k, i] = 0.0 if h[i] > 0.0 else held[k, i]
+                if count_turned > 0.0:
                     # Inverse inertia at the start of the step, from the factors that are there already.
                     for j in range(joints):
                         for k in range(joints):
@@ -203,87 +193,37 @@ def tree_rollout(
                     mean_levels(
                         tree, own, effects, forces, own_steady, angle, speed, 0.0, efforts, scratch, end, stick,
                     )  # fmt: skip
-                    for r in range(len(rubbing)):
-                        j = rubbing[r]
-                        for i in range(LANES):
-                            moving[r, i], resting[r, i] = max(slide[j, i], 0.0), max(stick[j, i], 0.0)
-                            load[r, i] = -moving[r, i] * direction[j, i]
-                    for i in range(LANES):
-                        if turned[i]:
-                            for k in range(joints):
-                                accelerated[k] = (v[k, i] - speed[k, i]) / h[i]
-                            rub_in_step(
-                                some_ahead, speed, load, moving, resting, inverse, own_ahead, bare, spared, rubbing,
-                                own_creeps, accelerated, h[i], impulsive, sweeps, close, end, moved, hold, i,
-                            )  # fmt: skip
-                            if impulsive:
-                                for k in range(joints):
-                                    v[k, i] = (
-                                        end[k, i] if is_rubbing[k] else speed[k, i] + h[i] * accelerated[k]
-                                    )
-                                    q[k, i] = angle[k, i] + h[i] * v[k, i]
-                                    first[k, i] = last[k, i] = (v[k, i] - speed[k, i]) / h[i]
-                                for r in range(len(rubbing)):
-                                    j = rubbing[r]
-                                    if v[j, i] == 0.0 and stick[j, i] > 0.0:
-                                        held[j, i] = -hold[r, i] / stick[j, i]
-                                continue
-                            for r in range(len(rubbing)):
-                                j = rubbing[r]
-                                if slide[j, i] > 0.0:
-                                    share = min(max(-load[r, i] / slide[j, i], -HUGE), HUGE)
-                                    direction[j, i] = share / max(share * share, 1.0)
-                                    if direction[j, i] != share:
-                                        push[j, i] += load[r, i] + slide[j, i] * direction[j, i]
-                                else:
-                                    load[r, i] = 0.0
-                    if not impulsive:
+                    loads_of_levels(rubbing, direction, slide, stick, moving, resting, load)
+                    for again in range(2):
+                        mean_accelerations(speed, v, h, turned, accelerated)
+                        rub_in_step(
+                            some_ahead, speed, load, moving, resting, inverse, own_ahead, bare, spared, had, rubbing,
+                            own_creeps, accelerated, h, turned, impulsive, sweeps, close, joint_rows, block_rows, end,
+                            moved, hold,
+                        )  # fmt: skip
+                        if impulsive or again:
+                            break
+                        as_directions(rubbing, slide, turned, load, direction, push, block_rows)
                         runge_kutta(
                             tree, own, effects, rows, masses, which, forces, level, stages, angle, speed, efforts,
                             times, push, own_steady, direction, h, late, impulsive, q, v, first, last,
                         )  # fmt: skip
-                    for i in range(LANES):
-                        if impulsive or not turned[i]:
-                            continue
-                        for k in range(joints):
-                            accelerated[k] = (v[k, i] - speed[k, i]) / h[i]
-                        rub_in_step(
-                            some_ahead, speed, load, moving, resting, inverse, own_ahead, bare, spared, rubbing,
-                            own_creeps, accelerated, h[i], impulsive, sweeps, close, end, moved, hold, i,
+                    if impulsive:
+                        take_impulses(
+                            rubbing, is_rubbing, angle, speed, h, turned, accelerated, end, hold, stick, q, v, first,
+                            last, held,
                         )  # fmt: skip
-                        for k in range(joints):
-                            if not is_rubbing[k]:
-                                end[k, i] = speed[k, i] + h[i] * accelerated[k]
-                                moved[k, i] = 0.5 * h[i] * (speed[k, i] + end[k, i])
-                            # The part of the way that a constant acceleration does not explain stays.
-                            q[k, i] += moved[k, i] - 0.5 * h[i] * (speed[k, i] + v[k, i])
-                            v[k, i] = end[k, i]
-                        for r in range(len(rubbing)):
-                            j = rubbing[r]
-                            stays = v[j, i] == 0.0
-                            if stays and speed[j, i] == 0.0:
-                                q[j, i] = angle[j, i]
-                            creep = own_creeps[r, 0, i] > 0.0 and not slips(
-                                speed[j, i],
-                                v[j, i],
-                                first[j, i],
-                                last[j, i],
-                                slide[j, i],
-                                own_creeps[r, 0, i],
-                                own_creeps[r, 1, i],
-                            )
-                            if creep or speed[j, i] * v[j, i] <= 0.0:
-                                first[j, i] = last[j, i] = (v[j, i] - speed[j, i]) / h[i]
-                            if stays:
-                                held[j, i] = (
-                                    -hold[r, i] / stick[j, i] if stick[j, i] > 0.0 else direction[j, i]
-                                )
+                    else:
+                        take_motion(
+                            rubbing, is_rubbing, own_creeps, angle, speed, h, turned, accelerated, direction, slide,
+                            stick, end, moved, hold, q, v, first, last, held, block_rows,
+                        )  # fmt: skip
                 for k in range(joints):
                     for i in range(LANES):
-                        angle[k, i] = q[k, i] if live[i] else angle[k, i]
-                        speed[k, i] = v[k, i] if live[i] else speed[k, i]
+                        angle[k, i] = q[k, i] if h[i] > 0.0 else angle[k, i]
+                        speed[k, i] = v[k, i] if h[i] > 0.0 else speed[k, i]
                     for i in range(size):
-                        if not live[i]:
+                        if not h[i] > 0.0:
                             continue
                         # A piece counts by its length: without one, nothing changes.
                         share = h[i] / step

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from numba import njit
 
-from deepkoco.systems.trees.block_sizes import LANES, in_lanes, in_rows
+from deepkoco.systems.block_sizes import LANES, in_lanes, in_rows
 from deepkoco.systems.trees.effect_kernel import add_levels, add_loads, deliver
 from deepkoco.systems.trees.force_kernel import add_joint_loads
 from deepkoco.systems.trees.mass_matrix_kernel import (
@@ -33,7 +33,7 @@ from deepkoco.systems.trees.newton_euler_kernel import (
 from deepkoco.systems.uncounted import UNCOUNTED
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "7aea5c6556082f68"
+COMPILED_WITH = "cfff6beabbf5a3ae"
 
 
 @njit(**UNCOUNTED)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-from deepkoco.systems.trees.block_sizes import LANES, in_lanes, in_rows
+from deepkoco.systems.block_sizes import LANES, in_lanes, in_rows
 from deepkoco.systems.trees.mass_matrix_kernel import fill_mass, gather_inertias
 from deepkoco.systems.trees.newton_euler_kernel import ROWS, SPARE, gather_forces, move_frames
 
