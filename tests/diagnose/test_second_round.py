@@ -2,14 +2,21 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
 from deepkoco.diagnose.baseline import baseline_from
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.data import cut_data
+from deepkoco.diagnose.evidence.classes import APART
 from deepkoco.diagnose.evidence.screening import StartPoint
-from deepkoco.diagnose.evidence.second_round import can_gain, promising_there, without_hopeless_slow
+from deepkoco.diagnose.evidence.second_round import (
+    can_gain,
+    promising_there,
+    usual_penalty,
+    without_hopeless_slow,
+)
 from deepkoco.fit.fit import FitProblem, Trial
 from deepkoco.systems import any_system
 from tests.fit.identify_logs import rod_log
@@ -32,7 +39,7 @@ def refit():
     return start, windows, replace(fit, residual=noise, chi2=float(windows.samples))
 
 
-def asked(refit, promise: float, penalty: float = 7.0, wanted: float = 24.0) -> bool:
+def asked(refit, promise: float, penalty: float = 20.0, wanted: float = 24.0) -> bool:
     start, windows, fit = refit
     fit = replace(fit, penalty=penalty)
     return can_gain(start, windows, fit, fit, [COULOMB], {COULOMB.name: promise}, wanted)
@@ -67,6 +74,24 @@ def test_beside_a_fit_that_leaves_noise_near_its_prior_nothing_can_be_gained(ref
     strained = replace(fit, penalty=100.0)
     assert not can_gain(start, windows, reference, replace(fit, penalty=1.0), [COULOMB], promised, 24.0)
     assert can_gain(start, windows, reference, strained, [COULOMB], promised, 24.0)
+
+
+def test_the_more_parameters_a_log_tells_the_larger_is_a_usual_penalty(refit):
+    """Penalties of a unit drawn from the prior, over many units, exceed the usual one in one of twenty cases."""
+    _, _, fit = refit
+    one = replace(fit, free=("a",), information=np.eye(1), covariance=np.eye(1))
+    assert usual_penalty(one) == APART
+    count, rng = 26, np.random.default_rng(0)
+    root = rng.standard_normal((count, count))
+    information = root @ np.diag(10.0 ** rng.uniform(-3.0, 3.0, count)) @ root.T
+    covariance = np.linalg.inv(information + np.eye(count))
+    many = replace(fit, free=tuple(map(str, range(count))), information=information, covariance=covariance)
+    true = rng.standard_normal((4000, count))
+    noise = rng.standard_normal((4000, count)) @ np.linalg.cholesky(information).T
+    found = (true @ information + noise) @ covariance
+    assert (np.square(found).sum(1) > usual_penalty(many)).mean() == pytest.approx(0.05, abs=0.02)
+    nothing = replace(many, information=np.zeros((count, count)), covariance=np.eye(count))
+    assert usual_penalty(nothing) == APART
 
 
 def test_causes_that_promise_nothing_as_given_are_not_fitted_there():

@@ -8,6 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+from scipy.stats import chi2
+
 from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.evidence.classes import APART
@@ -22,6 +25,7 @@ from deepkoco.fit.fit import Fit
 LEADS = (
     0.9  # share of the largest promise at a joint from which an effect that takes long to simulate is fitted
 )
+CHANCE = 0.95  # share of units whose penalty is usual
 
 
 def can_gain(
@@ -35,8 +39,8 @@ def can_gain(
 ) -> bool:
     """Return whether any other cause could still be named, whatever it is fitted from.
 
-    A fit that leaves only noise and has hardly left its prior leaves nothing to gain. Where a refit leaves more than
-    noise, slopes there are no bound.
+    A fit that leaves only noise, and has left its prior no farther than any unit does, leaves nothing to gain. Where a
+    refit leaves more than noise, slopes there are no bound.
 
     Args:
         start: The baseline.
@@ -54,7 +58,7 @@ def can_gain(
         return True
     spread = dispersion(best, windows)
     deflation = max(spread.deflation, start.least_deflation)
-    if best.converged and best.penalty <= APART * deflation:
+    if best.converged and best.penalty <= usual_penalty(best) * deflation:
         return False
     if more_than_noise(reference, windows, start) is not None:
         return True
@@ -65,6 +69,16 @@ def can_gain(
         if c.name in promised
     ]
     return max(most, default=0.0) > wanted
+
+
+def usual_penalty(fit: Fit) -> float:
+    """Return the penalty that a fit of a unit like those of the prior exceeds by chance alone in one of twenty cases.
+
+    Each parameter that the data tell adds the square of a standard normal number; one of which they tell a part, this
+    part. Two causes whose costs differ by ``APART`` are not told apart, whatever is freed.
+    """
+    told = float(np.trace(fit.information @ fit.covariance)) if fit.free else 0.0
+    return max(APART, float(chi2.ppf(CHANCE, max(told, 1.0))))
 
 
 def promising_there(here: Sequence[StartPoint], there: Sequence[StartPoint]) -> list[StartPoint]:
