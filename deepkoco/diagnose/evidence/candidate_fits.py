@@ -56,14 +56,16 @@ def fit_best(
     longer = (
         _fit_hopeful(problem, [trial for trial, _ in longer], reference)
         if known is None
-        else _fit_front(problem, longer, known)
+        else _fit_front(problem, longer, known, reference)
     )
     return {name: scout for name, (scout, _) in best.items()} | dict(zip(running, longer, strict=True))
 
 
-def _fit_hopeful(problem: FitProblem, trials: Sequence[Trial], reference: Fit) -> list[Fit]:
+def _fit_hopeful(
+    problem: FitProblem, trials: Sequence[Trial], reference: Fit, exact: bool = True
+) -> list[Fit]:
     """Fit trials, halfway without those that are then so far behind the best that they would not be in its class."""
-    fits = problem.fit(trials, HALFWAY, CLOSE)
+    fits = problem.fit(trials, HALFWAY, CLOSE, exact=exact)
     won = reference.cost - min((fit.cost for fit in fits), default=reference.cost)
     hopeful = [
         k
@@ -71,12 +73,14 @@ def _fit_hopeful(problem: FitProblem, trials: Sequence[Trial], reference: Fit) -
         if not (fit.converged or fit.diverged) and reference.cost - fit.cost > HOPEFUL_SHARE * won
     ]
     again = [trials[k].from_fit(fits[k]) for k in hopeful]
-    for k, fit in zip(hopeful, problem.fit(again, ITERATIONS - HALFWAY, CLOSE), strict=True):
+    for k, fit in zip(hopeful, problem.fit(again, ITERATIONS - HALFWAY, CLOSE, exact=exact), strict=True):
         fits[k] = fit
     return fits
 
 
-def _fit_front(problem: FitProblem, scouted: Sequence[tuple[Trial, Fit]], known: FrozenSlopes) -> list[Fit]:
+def _fit_front(
+    problem: FitProblem, scouted: Sequence[tuple[Trial, Fit]], known: FrozenSlopes, reference: Fit
+) -> list[Fit]:
     """Fit trials with known slopes as far as these lead, then the best of them with slopes of their own."""
     trials, fits = [trial for trial, _ in scouted], [scout for _, scout in scouted]
     open_ones = [k for k, fit in enumerate(fits) if not fit.converged]
@@ -85,7 +89,7 @@ def _fit_front(problem: FitProblem, scouted: Sequence[tuple[Trial, Fit]], known:
         fits[k] = fit
     front = sorted(range(len(fits)), key=lambda k: fits[k].cost)[:FRONT]
     again = [trials[k].from_fit(fits[k]) for k in front]
-    for k, fit in zip(front, problem.fit(again, ITERATIONS, CLOSE, exact=False), strict=True):
+    for k, fit in zip(front, _fit_hopeful(problem, again, reference, exact=False), strict=True):
         if fit.cost <= fits[k].cost:
             fits[k] = fit
     return fits

@@ -15,6 +15,7 @@ from deepkoco.diagnose.baseline import Baseline, Healthy, noisier, tempered
 from deepkoco.diagnose.causes import Cause, is_changed, kind_of
 from deepkoco.diagnose.evidence.elimination import PLAIN
 from deepkoco.diagnose.evidence.flexible import FLEXIBLE_CAUSES
+from deepkoco.diagnose.evidence.footholds import ITERATIONS
 from deepkoco.diagnose.evidence.priors import declared, freed, prior_with
 from deepkoco.diagnose.evidence.pushed_bodies import falls_at
 from deepkoco.diagnose.evidence.selected import Selected
@@ -129,17 +130,16 @@ def _plainly_apart(
     """
     asked = [h for h in hypotheses if set(h.cause.free).isdisjoint(start.prior.names)]
     before, own = healthy.counted()
-    trials = []
+    far, near = [], []
     for cause, _, fit in asked:
         # The prior is as wide as the other estimate is large: a log that says nothing of the cause leaves it open.
         values = {**healthy.fit.values, **{n: fit.values[n] for n in cause.free}}
         trial = freed(own, before, (*healthy.causes, cause), healthy.fit, values)
-        trials += [trial, replace(trial, values=healthy.fit.values)]
-    found = own.fit(trials, PATIENCE, CLOSE)
-    fits = {
-        h.cause.name: min(both, key=lambda fit: fit.cost)
-        for h, *both in zip(asked, found[::2], found[1::2], strict=True)
-    }
+        far.append(trial)
+        near.append(replace(trial, values=healthy.fit.values))
+    # From the other estimate, a fit asks whether there is a minimum of its own; it need not come back all the way.
+    found = zip(asked, own.fit(far, ITERATIONS, CLOSE), own.fit(near, PATIENCE, CLOSE), strict=True)
+    fits = {h.cause.name: min(both, key=lambda fit: fit.cost) for h, *both in found}
     apart = []
     for cause, _, fit in hypotheses:
         there = fits.get(cause.name)
