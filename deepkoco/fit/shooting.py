@@ -20,7 +20,6 @@ from deepkoco.fit.simulate.push import Push, push_torque
 from deepkoco.fit.simulate.simulator import is_compiled, predict
 from deepkoco.fit.solve.encoder_zeros import EncoderZeros
 from deepkoco.fit.solve.nuisances import Nuisances
-from deepkoco.fit.solve.straight_steps import StraightSteps
 from deepkoco.fit.threads import in_parts
 from deepkoco.systems import ExtendedSystem, Parameter, System
 from deepkoco.systems.effects.effect import PlacedEffect
@@ -71,7 +70,6 @@ class ShootingProblem:
         self.whitening = windows.whitening()
         self.zeros = EncoderZeros.of(system, len(windows.commands), zero_sd)
         self.nuisances = Nuisances(self.zeros, windows.varies)
-        self.straight = StraightSteps(system.inertial_parameters, self.names)
         self._kept: dict[tuple[str, ...], ExtendedSystem] = {}
         self._usual: Self | None = None
         self._uncut = False  # whether `_usual` would be this problem itself

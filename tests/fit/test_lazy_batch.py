@@ -13,7 +13,6 @@ from deepkoco.fit.request import make_request
 from deepkoco.fit.solve.lazy_batch import LazyBatch
 from deepkoco.fit.solve.levenberg_marquardt import Batch
 from deepkoco.fit.solve.prior import Prior
-from deepkoco.fit.solve.straight_steps import StraightSteps
 from tests.fit.identify_logs import TRUE, arm_log, rod_log
 
 TOLERANCE = 1e-4
@@ -108,7 +107,7 @@ class Valley:
     """
 
     names, low, high = ("x", "y"), np.full(2, -10.0), np.full(2, 10.0)
-    scale, straight = np.ones(2), StraightSteps((), names)
+    scale = np.ones(2)
     weight = torch.ones(1, 3, 1, dtype=torch.float64)
     nuisances = SimpleNamespace(
         varies=(),

@@ -11,7 +11,6 @@ from deepkoco.fit.fit_types import Trial
 from deepkoco.fit.solve.lazy_batch import LazyBatch
 from deepkoco.fit.solve.levenberg_marquardt import Batch
 from deepkoco.fit.solve.prior import Prior
-from deepkoco.fit.solve.straight_steps import StraightSteps
 
 WINDOWS, SAMPLES, TRUE = 20, 3, 2.0
 STRAYS = 1e3  # residual of the last window, where its initial state is off by the square of a step
@@ -26,7 +25,7 @@ class OneStray:
     """
 
     names, low, high = ("x",), np.full(1, -10.0), np.full(1, 10.0)
-    scale, most_lanes, straight = np.ones(1), 256, StraightSteps((), names)
+    scale, most_lanes = np.ones(1), 256
     nuisances = SimpleNamespace(
         varies=(),
         spread=np.zeros(0),

@@ -23,10 +23,10 @@ from deepkoco.diagnose.evidence.screening import StartPoint
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem, Trial
 from deepkoco.fit.solve.prior import Prior
-from deepkoco.fit.solve.straight_steps import StraightSteps
 from deepkoco.systems.added_loads import own_values
 from deepkoco.systems.effects.effect import PlacedEffect
 from deepkoco.systems.motion import Motion
+from deepkoco.systems.straight_steps import StraightSteps
 from deepkoco.systems.trees import TreeSystem
 from deepkoco.systems.trees.base_parameters import smooth_motion
 from deepkoco.systems.trees.visible import SHOWN_OTHERWISE
@@ -122,8 +122,13 @@ class _Valley:
         pick = [reference.free.index(n) for n in free]
         self.count, own = len(free), self.spread[: len(free)]
         self.here = np.array([reference.values[n] for n in self.names])
-        self.straight = StraightSteps(system.base.inertial_parameters, self.names)
-        self.columns = np.arange(len(self.names))
+        bodies = [
+            body._replace(
+                values=tuple(reference.values.get(n, v) for n, v in zip(body.names, body.values, strict=True))
+            )
+            for body in system.base.inertial_parameters
+        ]
+        self.straight = StraightSteps(bodies, self.names)
         self.penalty = prior.penalty(free)
         self.root = _root(self.penalty.precision * np.outer(own, own))
         information = reference.information[np.ix_(pick, pick)] * np.outer(own, own)
@@ -173,7 +178,7 @@ class _Valley:
 
     def _points(self, x: np.ndarray) -> np.ndarray:
         """(L, names) after steps from the refit, in standard deviations, which loads follow in proportion."""
-        ends = [self.straight.end(self.here, self.columns, row * self.spread) for row in x]
+        ends = [self.straight.end(self.here, row * self.spread) for row in x]
         return np.clip(ends, self.low, self.high)
 
     def _slopes_left(self, x: np.ndarray, share: float) -> np.ndarray:

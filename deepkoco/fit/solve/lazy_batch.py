@@ -20,7 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepkoco.fit.fit_types import Fit, Trial
+from deepkoco.fit.fit_types import FIRST_DAMPING, Fit, Trial
 from deepkoco.fit.shooting import ShootingProblem
 from deepkoco.fit.solve.frozen_slopes import FrozenSlopes, slopes_at, varying
 from deepkoco.fit.solve.levenberg_marquardt import LARGEST_DAMPING, LEAST_DAMPING, LIKELY, TOLERANCE, Batch
@@ -156,11 +156,7 @@ class LazyBatch(Batch):
         assert before is not None
         columns = np.array([problem.names.index(n) for n in slopes.names], dtype=int)
         spread = np.concatenate([problem.scale[columns], problem.nuisances.spread])
-        step = np.zeros(len(problem.names))
-        step[self.columns[k]] = problem.straight.way(
-            self.theta[k], self.columns[k], points[0][k, self.columns[k]]
-        )
-        own = torch.from_numpy(step[columns])
+        own = torch.from_numpy(points[0][k, columns] - self.theta[k, columns])
         own = torch.cat([own, points[2][k] - self.nuisance[k]])
         states = points[1][k] - self.initial[k]
         shown = (before.residual - normal.residual).flatten(1)
@@ -168,7 +164,7 @@ class LazyBatch(Batch):
         for name, slope in self.fresh[k].items():
             i = problem.names.index(name)
             there = slopes.rows[slopes.names.index(name)] if name in slopes.names else 0.0
-            expected = expected + float(step[i]) * (slope.flatten(1) - there)
+            expected = expected + float(points[0][k, i] - self.theta[k, i]) * (slope.flatten(1) - there)
         half = states.shape[1] // 2
         scale = torch.tensor([POSITION_SCALE] * half + [SPEED_SCALE] * half, dtype=torch.float64)
         kept = torch.tensor([n not in self.fresh[k] for n in slopes.names] + [True] * len(points[2][k]))
@@ -213,7 +209,7 @@ class LazyBatch(Batch):
     def _steps_farther(self, k: int) -> bool:
         """Lower a damping that another fit has handed on, where this fit has not yet found that less is too little."""
         lower = 0.1 * self.damping[k]
-        if lower < LEAST_DAMPING or lower <= self.too_little[k]:
+        if lower < FIRST_DAMPING or lower <= self.too_little[k]:
             return False
         self.damping[k] = lower
         return True
@@ -253,10 +249,7 @@ class LazyBatch(Batch):
         assert normal is not None
         way = theta - self.theta[k], initial - self.initial[k], nuisance - self.nuisance[k]
         sides = np.array([-PROBE, PROBE])
-        straight = problem.straight.way(self.theta[k], columns, theta[columns])
-        inside = np.repeat(self.theta[k][None], len(sides), axis=0)
-        inside[:, columns] = [problem.straight.end(self.theta[k], columns, side * straight) for side in sides]
-        inside = np.clip(inside, problem.low, problem.high)
+        inside = np.clip(self.theta[k] + sides[:, None] * way[0], problem.low, problem.high)
         shown = problem.predict(
             inside,
             self.initial[k] + torch.from_numpy(sides)[:, None, None] * way[1],

@@ -246,8 +246,7 @@ class Batch:
             held |= outside
             limit = np.where(outside, np.clip(move[:p], low, high), limit)
         theta = self.theta[k].copy()
-        end = problem.straight.end(self.theta[k], columns, move[:p])
-        theta[columns] = np.clip(end, problem.low[columns], problem.high[columns])
+        theta[columns] = np.clip(at + move[:p], problem.low[columns], problem.high[columns])
         return theta, self.initial[k] + states, self.nuisance[k] + torch.from_numpy(move[p:]), gain
 
     def _promised(self, k: int) -> float:
