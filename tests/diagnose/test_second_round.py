@@ -13,6 +13,7 @@ from deepkoco.diagnose.evidence.classes import APART
 from deepkoco.diagnose.evidence.screening import StartPoint
 from deepkoco.diagnose.evidence.second_round import (
     can_gain,
+    explained_mostly,
     promising_there,
     usual_penalty,
     without_hopeless_slow,
@@ -92,6 +93,15 @@ def test_the_more_parameters_a_log_tells_the_larger_is_a_usual_penalty(refit):
     assert (np.square(found).sum(1) > usual_penalty(many)).mean() == pytest.approx(0.05, abs=0.02)
     nothing = replace(many, information=np.zeros((count, count)), covariance=np.eye(count))
     assert usual_penalty(nothing) == APART
+
+
+def test_a_push_is_no_start_where_most_windows_are_not_explained_as_given(refit):
+    _, windows, fit = refit
+    shares = torch.ones(len(windows), 1, 1, dtype=torch.float64)
+    shares[: len(windows) // 3] = 100.0
+    assert explained_mostly(replace(fit, residual=shares * fit.residual), fit)
+    shares[: 2 * len(windows) // 3] = 100.0
+    assert not explained_mostly(replace(fit, residual=shares * fit.residual), fit)
 
 
 def test_causes_that_promise_nothing_as_given_are_not_fitted_there():

@@ -26,6 +26,7 @@ LEADS = (
     0.9  # share of the largest promise at a joint from which an effect that takes long to simulate is fitted
 )
 CHANCE = 0.95  # share of units whose penalty is usual
+ALIKE = 4.0  # times the squared error of a window, up to which another simulation explains it about as well
 
 
 def can_gain(
@@ -79,6 +80,19 @@ def usual_penalty(fit: Fit) -> float:
     """
     told = float(np.trace(fit.information @ fit.covariance)) if fit.free else 0.0
     return max(APART, float(chi2.ppf(CHANCE, max(told, 1.0))))
+
+
+def explained_mostly(given: Fit, reference: Fit) -> bool:
+    """Return whether the values as given leave about as much as the refit in half of the windows at least.
+
+    A push explains some windows. Where the values as given do not explain the others, it is no start from there.
+
+    Args:
+        given: The simulation at the values as given.
+        reference: The refit.
+    """
+    there, here = (fit.residual.square().flatten(1).sum(1) for fit in (given, reference))
+    return bool((there <= ALIKE * here).double().mean() >= 0.5)
 
 
 def promising_there(here: Sequence[StartPoint], there: Sequence[StartPoint]) -> list[StartPoint]:

@@ -42,7 +42,12 @@ from deepkoco.diagnose.evidence.promising import (
 )
 from deepkoco.diagnose.evidence.ranking import Ranking, penalty, ranked
 from deepkoco.diagnose.evidence.screening import Linearised, StartPoint, screen
-from deepkoco.diagnose.evidence.second_round import can_gain, promising_there, without_hopeless_slow
+from deepkoco.diagnose.evidence.second_round import (
+    can_gain,
+    explained_mostly,
+    promising_there,
+    without_hopeless_slow,
+)
 from deepkoco.diagnose.evidence.slips import HOPELESS, slipped
 from deepkoco.diagnose.evidence.start_values import Hints
 from deepkoco.diagnose.progress import in_company_of
@@ -191,6 +196,8 @@ def rank(
             also_there = [p for p in there if p.cause.searched and p.cause.name in also]
             promising = [*promising, *(p for p in also_there if (p.cause.name, p.values) not in held)]
         from_given = [*promising, *far]
+        if many and not explained_mostly(given, reference):
+            from_given = [p for p in from_given if not p.cause.searched]
         values = [{**given.values, **p.values} for p in from_given]
         stuck = {name for name, fit in fits.items() if fit.stuck or fit.diverged}
         known = (
