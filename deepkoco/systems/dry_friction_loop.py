@@ -137,10 +137,10 @@ def _slide_and_rest(f, b, r):
         left = f[r, PACE, i] - brake * h
         until = f[r, PACE, i] / (brake if brake > f[r, BRAKE, i] else f[r, BRAKE, i])
         until = h if left > 0.0 else until
-        first = side * left if left > 0.0 else 0.0
+        first = 0.0 if left <= 0.0 else side * left
         rest = h - until
         loose = abs(others) - f[r, STICK, i]
-        loose = loose if loose > 0.0 else 0.0
+        loose = 0.0 if loose < 0.0 else loose
         leaves = loose if others > 0.0 else -loose
         end = first + leaves * rest
         way = 0.5 * (v + first) * until + 0.5 * leaves * rest * rest
@@ -156,7 +156,7 @@ def _slide_or_stop(f, b, r):
         h = b[STEP, i]
         goal = f[r, SPEED, i] + h * f[r, OTHERS, i]
         left = abs(goal) - h * f[r, SLIDE, i]
-        left = left if left > 0.0 else 0.0
+        left = 0.0 if left < 0.0 else left
         end = left if goal > 0.0 else -left
         f[r, END, i] = end if b[OPEN, i] > 0.0 else f[r, END, i]
         f[r, WAY, i] = h * end if b[OPEN, i] > 0.0 else f[r, WAY, i]

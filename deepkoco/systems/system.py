@@ -18,7 +18,6 @@ from deepkoco.systems.drawn import Drawn
 from deepkoco.systems.drives import Drive, drives_of
 from deepkoco.systems.dry_friction import DryFriction, Levels
 from deepkoco.systems.engine_names import MUJOCO, SEMI_IMPLICIT
-from deepkoco.systems.inertial import InertialParameters
 from deepkoco.systems.joint_memory import JointMemory
 from deepkoco.systems.motion import Acceleration, InverseInertia, Motion, PayloadWay, PushPlace
 from deepkoco.systems.named_joints import NamedJoints
@@ -253,11 +252,6 @@ class System(SignalPath, NamedJoints, Drawn, metaclass=Declared):
         A name need not be one of :attr:`parameters`, where no motion shows it; the equations then know it all the same.
         """
         return {}
-
-    @property
-    def inertial_parameters(self) -> tuple[InertialParameters, ...]:
-        """Of each body whose loads are linear in its mass and moments, what these follow from; none by default."""
-        return ()
 
     @property
     def engines(self) -> tuple[str, ...]:

@@ -14,7 +14,6 @@ from deepkoco.systems.drawn import Outline
 from deepkoco.systems.drives import Drive
 from deepkoco.systems.dry_friction import DryFriction, Levels
 from deepkoco.systems.engine_names import MUJOCO
-from deepkoco.systems.inertial import InertialParameters
 from deepkoco.systems.joint_memory import JointMemory
 from deepkoco.systems.motion import Acceleration, CommandTiming, Delivery, InverseInertia, PayloadWay, Timing
 from deepkoco.systems.parameter import Parameter, Parameters
@@ -190,10 +189,6 @@ class WrappedSystem(System):
     @property
     def bodies(self) -> dict[str, dict[str, float]]:
         return self.base.bodies
-
-    @property
-    def inertial_parameters(self) -> tuple[InertialParameters, ...]:
-        return self.base.inertial_parameters
 
     @property
     def engines(self) -> tuple[str, ...]:

@@ -1,8 +1,7 @@
-"""Starts of causes that change masses, their places or commands, where a refit has moved the robot's own parameters.
+"""Starts of causes that change masses and their places, where a refit has moved the robot's own parameters instead.
 
 A load on a link moves the measurements as another mass, centre of mass and inertia of this link do, and a factor on a
-mass and its moments as these do themselves. A motor that has become weaker moves them as heavier links and stronger
-motors of all other joints. A log that tells much of what they do together leaves a valley between both
+mass and its moments as these do themselves. A log that tells much of what they do together leaves a valley between both
 explanations that is as narrow as the log is exact, and it is curved: the motion depends on masses times distances. No
 slope at the refit leads far along it. But the motion is linear in these products, and so are the loads that it needs.
 The refit's information about the parameters is carried over to the loads along the log, and the cheapest point of the
@@ -21,12 +20,11 @@ from torch import Tensor
 from deepkoco.diagnose.causes import Cause
 from deepkoco.diagnose.evidence.screening import StartPoint
 from deepkoco.fit.data.windows import Windows
-from deepkoco.fit.fit import Fit, FitProblem, Trial
+from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.fit.solve.prior import Prior
 from deepkoco.systems.added_loads import own_values
 from deepkoco.systems.effects.effect import PlacedEffect
 from deepkoco.systems.motion import Motion
-from deepkoco.systems.straight_steps import StraightSteps
 from deepkoco.systems.trees import TreeSystem
 from deepkoco.systems.trees.base_parameters import smooth_motion
 from deepkoco.systems.trees.visible import SHOWN_OTHERWISE
@@ -57,43 +55,20 @@ def cheapest_in_valley(
         causes: Those of which a start is asked.
         least: Fall of the penalty that a start needs; no more than the whole penalty can fall.
     """
-    least, found = max(least, LEAST), []
-    motion = _motion_of_valley(problem, reference, least)
+    base, least = problem.system.base, max(least, LEAST)
+    if reference.penalty <= least or problem.nuisances.varies or not isinstance(base, TreeSystem):
+        return []
+    motion, found = _motion_of(problem.windows, base.joints, len(base.commands)), []
     if motion is None:
         return []
     for cause in causes:
         placed = next((e for e in problem.system.effects if e.name == cause.effect), None)
-        if placed is None or not (
-            placed.effect.site in ("place", "body") or placed.effect.place == "command"
-        ):
+        if placed is None or placed.effect.site not in ("place", "body"):
             continue
-        point = _Valley(problem, reference, prior, motion, cause, placed).cheapest(least)
+        point = _Valley(problem, reference, prior, cause, placed, motion).cheapest(least)
         if point is not None:
-            found.append(StartPoint(cause, *point))
+            found.append(point)
     return found
-
-
-def lowest_in_valley(problem: FitProblem, reference: Fit, prior: Prior) -> Fit:
-    """Return a refit from the cheapest point of the valley in which another one has ended, where it costs less.
-
-    Steps along a narrow valley are short, and promise little beside what rounding and kinks leave of their slopes: a
-    refit whose links were a tenth too heavy was called converged, 150 above the least penalty.
-
-    Args:
-        problem: The windows.
-        reference: The refit.
-        prior: Prior of its parameters.
-    """
-    motion = _motion_of_valley(problem, reference, LEAST)
-    if motion is None:
-        return reference
-    point = _Valley(problem, reference, prior, motion).cheapest(LEAST)
-    if point is None:
-        return reference
-    values = {**reference.values, **point[0]}
-    trial = Trial(reference.name, reference.free, prior, values, reference.state, reference.nuisance)
-    found = problem.fit([trial])[0]
-    return found if found.cost < reference.cost else reference
 
 
 class _Valley:
@@ -104,55 +79,40 @@ class _Valley:
         problem: FitProblem,
         reference: Fit,
         prior: Prior,
+        cause: Cause,
+        placed: PlacedEffect,
         motion: tuple[tuple[Tensor, ...], ...],
-        cause: Cause | None = None,
-        placed: PlacedEffect | None = None,
     ) -> None:
         system = problem.system
         assert isinstance(system.base, TreeSystem)
         self.tree, self.motion = system.base, motion
-        self.problem, self.reference, self.placed = problem, reference, placed
-        self.added = () if cause is None else tuple(cause.free)
+        self.problem, self.reference, self.cause, self.placed = problem, reference, cause, placed
         # The load of an instant shows no lags of commands, nor limits that are not reached; these stay as they are.
         free = [n for n in reference.free if "." not in n and not n.startswith(SHOWN_OTHERWISE)]
-        self.names = (*free, *self.added)
+        self.names = (*free, *cause.free)
         columns = [problem.names.index(n) for n in self.names]
         self.low, self.high = problem.low[columns], problem.high[columns]
         self.spread = np.array([system.parameter(n).prior_sd for n in self.names])
         pick = [reference.free.index(n) for n in free]
         self.count, own = len(free), self.spread[: len(free)]
         self.here = np.array([reference.values[n] for n in self.names])
-        bodies = [
-            body._replace(
-                values=tuple(reference.values.get(n, v) for n, v in zip(body.names, body.values, strict=True))
-            )
-            for body in system.base.inertial_parameters
-        ]
-        self.straight = StraightSteps(bodies, self.names)
         self.penalty = prior.penalty(free)
         self.root = _root(self.penalty.precision * np.outer(own, own))
         information = reference.information[np.ix_(pick, pick)] * np.outer(own, own)
         self.loads = np.array(system.base.load_scales)
-        # What the refit does not explain would grow with a scale that the log leaves open, and seem to tell it. So the
-        # accelerations are those of the refit.
-        angles, speeds, sent = motion
-        self.motion = angles, speeds, (), sent
-        values, commands = self._acting(self.here[None])
-        accelerations = self.tree.accelerations(values)(Motion(angles, speeds, commands))
-        self.motion = angles, speeds, accelerations, sent
         self.known = self._needed(self.here[None])[0]
         slopes = self._slopes(self.here, self._needed)[:, : len(free)]
         self.told = _root(information) @ np.linalg.pinv(slopes, rcond=FAINT)
 
-    def cheapest(self, least: float) -> tuple[dict[str, float], float] | None:
-        """Return the cheapest point and the fall of the penalty there; None where that is not enough.
+    def cheapest(self, least: float) -> StartPoint | None:
+        """Return the cheapest point, with the fall of the penalty as its promise; None where that is not enough.
 
         Where more of what the log tells counts, the cost is no lower.
         """
-        low, high = (self.low - self.here) / self.spread, (self.high - self.here) / self.spread
-        x, cost = np.zeros(len(self.names)), np.inf
+        low, high = self.low / self.spread, self.high / self.spread
+        x, cost = self.here / self.spread, np.inf
         for k, name in enumerate(self.names):
-            if name in self.added:
+            if name in self.cause.free:
                 x[k] += BEYOND if name.endswith(".along") else FIRST
         for share in SHARES:
             found = least_squares(
@@ -166,20 +126,15 @@ class _Valley:
             x, cost = found.x, 2.0 * float(found.cost)
             if self.reference.penalty - cost <= least:
                 return None
-        values = dict(zip(self.names, map(float, self._points(x[None])[0]), strict=True))
-        return values, self.reference.penalty - cost
+        values = dict(zip(self.names, map(float, x * self.spread), strict=True))
+        return StartPoint(self.cause, values, self.reference.penalty - cost)
 
     def _left(self, x: np.ndarray, share: float = 1.0) -> np.ndarray:
-        """Rest (L, n) of which the square is the cost after L steps (L, names), with a share of what the log tells."""
-        own, points = self.spread[: self.count], self._points(x)
-        prior = self.penalty.offset(points[:, : self.count]) / own @ self.root.T
-        told = share * (self._needed(points) - self.known) @ self.told.T
+        """Rest (L, n) of which the square is the cost of L points (L, names), with a share of what the log tells."""
+        own = self.spread[: self.count]
+        prior = self.penalty.offset(x[:, : self.count] * own) / own @ self.root.T
+        told = share * (self._needed(x * self.spread) - self.known) @ self.told.T
         return np.concatenate([told, prior], axis=1)
-
-    def _points(self, x: np.ndarray) -> np.ndarray:
-        """(L, names) after steps from the refit, in standard deviations, which loads follow in proportion."""
-        ends = [self.straight.end(self.here, row * self.spread) for row in x]
-        return np.clip(ends, self.low, self.high)
 
     def _slopes_left(self, x: np.ndarray, share: float) -> np.ndarray:
         """Slopes (n, names) of the rest at one point."""
@@ -191,14 +146,6 @@ class _Valley:
 
     def _needed(self, points: np.ndarray) -> np.ndarray:
         """Loads (L, K) that the motion of the log needs at L points (L, names), in typical loads of their joints."""
-        angles, speeds, accelerations, _ = self.motion
-        values, commands = self._acting(points)
-        found = self.tree.needed_loads(values)(Motion(angles, speeds, commands), accelerations)
-        table = torch.stack(torch.broadcast_tensors(*found), -1).numpy()  # (n, L, J)
-        return np.moveaxis(table / self.loads, 1, 0).reshape(len(points), -1)
-
-    def _acting(self, points: np.ndarray) -> tuple[dict[str, Tensor], tuple[Tensor, ...]]:
-        """Parameters of the robot at L points (L, names), and its commands, with what effects make of both."""
         system = self.problem.system
         values = {n: torch.tensor(v, dtype=torch.float64) for n, v in self.reference.values.items()}
         values |= {n: torch.from_numpy(points[:, k].copy()) for k, n in enumerate(self.names)}
@@ -208,32 +155,14 @@ class _Valley:
                 null = all(bool((own[p.name] == p.value).all()) for p in placed.parameters(system.base))
                 if placed is self.placed or not null:
                     values = dict(placed.effect.apply(system.base, placed.index, values, own))
-        commands = self.motion[3]
-        for placed in system.effects:
-            if placed.effect.place == "command":
-                own = own_values(placed.name, values)
-                null = all(bool((own[p.name] == p.value).all()) for p in placed.parameters(system.base))
-                if placed is self.placed or not null:
-                    commands = tuple(
-                        placed.effect.apply(part, own) if placed.acts_on(k, system) else part
-                        for k, part in enumerate(commands)
-                    )
-        return values, commands
-
-
-def _motion_of_valley(
-    problem: FitProblem, reference: Fit, least: float
-) -> tuple[tuple[Tensor, ...], ...] | None:
-    """Motion as :func:`_motion_of`; None too where the penalty of a refit cannot fall by ``least``, or where loads are
-    not known."""
-    base = problem.system.base
-    if reference.penalty <= least or problem.nuisances.varies or not isinstance(base, TreeSystem):
-        return None
-    return _motion_of(problem.windows, base.joints, len(base.commands))
+        angles, speeds, accelerations, commands = self.motion
+        found = self.tree.needed_loads(values)(Motion(angles, speeds, commands), accelerations)
+        table = torch.stack(torch.broadcast_tensors(*found), -1).numpy()  # (n, L, J)
+        return np.moveaxis(table / self.loads, 1, 0).reshape(len(points), -1)
 
 
 def _motion_of(windows: Windows, joints: int, count: int) -> tuple[tuple[Tensor, ...], ...] | None:
-    """Angles, speeds and commands, each (n, 1), at some samples; None where a joint is not measured."""
+    """Angles, speeds, accelerations and commands, each (n, 1), at some samples; None where a joint is not measured."""
     shows = list(windows.shows)
     if any(j not in shows for j in range(joints)):
         return None
@@ -247,8 +176,7 @@ def _motion_of(windows: Windows, joints: int, count: int) -> tuple[tuple[Tensor,
         angles = windows.value[w, columns].numpy()[:, seen].T
         rows = np.clip(np.searchsorted(commands.t, windows.t0[w] + t, side="right") - 1, 0, None)
         sent = np.column_stack([commands.column(k)[rows] for k in range(count)])
-        angles, speeds, _, sent = smooth_motion(t, angles, sent)
-        parts.append((angles, speeds, sent))
+        parts.append(smooth_motion(t, angles, sent))
     if not parts:
         return None
     whole = [np.concatenate(part) for part in zip(*parts, strict=True)]

@@ -13,9 +13,9 @@ import torch
 
 from deepkoco.diagnose.baseline import Baseline, Healthy, noisier, tempered
 from deepkoco.diagnose.causes import Cause, is_changed, kind_of
-from deepkoco.diagnose.evidence.candidate_fits import HALFWAY
 from deepkoco.diagnose.evidence.elimination import PLAIN
 from deepkoco.diagnose.evidence.flexible import FLEXIBLE_CAUSES
+from deepkoco.diagnose.evidence.footholds import ITERATIONS
 from deepkoco.diagnose.evidence.priors import declared, freed, prior_with
 from deepkoco.diagnose.evidence.pushed_bodies import falls_at
 from deepkoco.diagnose.evidence.selected import Selected
@@ -138,7 +138,7 @@ def _plainly_apart(
         far.append(trial)
         near.append(replace(trial, values=healthy.fit.values))
     # From the other estimate, a fit asks whether there is a minimum of its own; it need not come back all the way.
-    found = zip(asked, own.fit(far, HALFWAY, CLOSE), own.fit(near, PATIENCE, CLOSE), strict=True)
+    found = zip(asked, own.fit(far, ITERATIONS, CLOSE), own.fit(near, PATIENCE, CLOSE), strict=True)
     fits = {h.cause.name: min(both, key=lambda fit: fit.cost) for h, *both in found}
     apart = []
     for cause, _, fit in hypotheses:

@@ -19,7 +19,7 @@ from deepkoco.diagnose.evidence.crossed import (
     gains_elsewhere,
     leaves_more,
 )
-from deepkoco.diagnose.evidence.curved_valley import cheapest_in_valley, lowest_in_valley
+from deepkoco.diagnose.evidence.curved_valley import cheapest_in_valley
 from deepkoco.diagnose.evidence.event_windows import MIN_OTHER_WINDOWS, touched
 from deepkoco.diagnose.evidence.exchanged_states import hides_a_position, with_exchanged_states
 from deepkoco.diagnose.evidence.flexible import FLEXIBLE_CAUSES
@@ -113,7 +113,6 @@ def rank(
     listed = [(cause, place) for cause in tried for place in cause.starts(hints.for_cause(cause))]
     slips = [(cause, place) for cause, place in listed if not cause.free]
     prior = prior_with(problem, start, accepted, reference.values)
-    reference = lowest_in_valley(problem, reference, prior)
     tangent = Linearised(problem, reference, prior)
     promises = screen(problem, reference, prior, [pair for pair in listed if pair[0].free], tangent)
     # Of a tempered refit, flexible causes are not fitted, and set no bar.

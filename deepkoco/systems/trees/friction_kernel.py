@@ -16,7 +16,7 @@ from deepkoco.systems.dry_friction_loop import CHANGE, MEAN, MOVES
 from deepkoco.systems.uncounted import UNCOUNTED
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "f03fb310d6fcf11b"
+COMPILED_WITH = "6f7b39ad70f24cdd"
 
 
 @njit(**UNCOUNTED)
@@ -100,8 +100,8 @@ def as_directions(rubbing, slide, turned, load, direction, push, rows):
             level = slide[j, i]
             acts = level > 0.0
             share = -load[r, i] / (level if acts else 1.0)
-            share = share if share < HUGE else HUGE
-            share = share if share > -HUGE else -HUGE
+            share = HUGE if share > HUGE else share
+            share = -HUGE if share < -HUGE else share
             square = share * share
             bounded = share / (square if square > 1.0 else 1.0)
             rest = load[r, i] + level * bounded

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from deepkoco.systems.inertial import InertialParameters
 from deepkoco.systems.parameter import Parameter, Parameters
 from deepkoco.systems.trees.dynamics import NONE, Inertia, rotated, shifted
 from deepkoco.systems.trees.force_limits import KIND, force_limit, force_range, is_limited
@@ -96,21 +95,6 @@ def grows_with_mass(tree: Tree, visible: Collection[str]) -> dict[str, dict[str,
         if body.mass > 0.0 and len(own.keys() & set(visible)) > 1:
             found[body.name] = own | {f"inertia_{pair}({body.name})": 0.0 for pair in PRODUCTS}
     return found
-
-
-def inertial_parameters(tree: Tree) -> tuple[InertialParameters, ...]:
-    """Of each body, which parameters are its mass, its centre of mass and its moments, with the model's values."""
-    return tuple(
-        InertialParameters(
-            (
-                f"mass({body.name})",
-                *(f"{kind}_{a}({body.name})" for kind in ("com", "inertia") for a in AXES),
-            ),
-            (body.mass, *body.com, *body.moments),
-            body.axes,
-        )
-        for body in tree.bodies
-    )
 
 
 def is_servo(actuator: Actuator) -> bool:

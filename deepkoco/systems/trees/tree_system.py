@@ -50,7 +50,6 @@ from deepkoco.systems.trees.parameters import (
     declared_parameters,
     drive_parameters,
     grows_with_mass,
-    inertial_parameters,
     joint_value,
     payload_name,
     payload_place_name,
@@ -127,7 +126,6 @@ class TreeSystem(System):
         declared = visible_parameters(self, tree, declared_parameters(tree, least))
         self.parameters = settings.parameters(declared, geometry_parameters(tree))
         self._grows_with_mass = grows_with_mass(tree, [p.name for p in self.parameters])
-        self._inertial = inertial_parameters(tree)
 
     @classmethod
     def from_file(cls, path: str | Path) -> TreeSystem:
@@ -154,7 +152,6 @@ class TreeSystem(System):
 
     commands = property(lambda self: self._commands)
     bodies = property(lambda self: self._grows_with_mass)
-    inertial_parameters = property(lambda self: self._inertial)
 
     def way_to_hold(self, channels: Collection[str]) -> str:
         unseen = self.unseen_joints(channels)
