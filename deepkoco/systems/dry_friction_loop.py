@@ -19,10 +19,15 @@ from deepkoco.systems.uncounted import UNCOUNTED
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
 COMPILED_WITH = "7e8d1d8a3dc32048"
 
-# Rows of a rubbing joint: what it has, then what a sweep finds.
+# Rows of a rubbing joint. Speed, its sign, its size, least deceleration that stops it in the step; inverse inertia and
+# its inverse; deceleration while it slides, largest acceleration at which it is held, level at rest, load; inverse
+# inertia times that of the creep, rate at which a creep fades, acceleration beyond which it slips, rate of the creep;
+# speed after the step, way over it, mean acceleration without its own friction.
 SPEED, SIDE, PACE, BRAKE, OWN, MASS, SLIDE, STICK, HOLD, LOAD = range(10)
 SOFT, RATE, EDGE, STOP, END, WAY, OTHERS, JOINT_ROWS = range(10, 18)
-# Rows of a block.
+# Rows of a block: length of the step and its inverse, 1 where an element still sweeps, 1 where its loads still change,
+# mean acceleration, change of a load; of friction that creeps: speed, time that is left, creep, time of creeping, and 1
+# where the joint slips away.
 STEP, PER_STEP, OPEN, MOVES, MEAN, CHANGE, START, REST, GOAL, FADING, LEAVES, BLOCK_ROWS = range(12)
 
 

@@ -64,7 +64,14 @@ def fit_best(
 def _fit_hopeful(
     problem: FitProblem, trials: Sequence[Trial], reference: Fit, exact: bool = True
 ) -> list[Fit]:
-    """Fit trials, halfway without those that are then so far behind the best that they would not be in its class."""
+    """Fit trials, halfway without those that are then so far behind the best that they would not be in its class.
+
+    Args:
+        problem: Training windows.
+        trials: The trials.
+        reference: Fit whose cost they lower.
+        exact: Whether fits end with slopes at their own points.
+    """
     fits = problem.fit(trials, HALFWAY, CLOSE, exact=exact)
     won = reference.cost - min((fit.cost for fit in fits), default=reference.cost)
     hopeful = [
@@ -81,7 +88,10 @@ def _fit_hopeful(
 def _fit_front(
     problem: FitProblem, scouted: Sequence[tuple[Trial, Fit]], known: FrozenSlopes, reference: Fit
 ) -> list[Fit]:
-    """Fit trials with known slopes as far as these lead, then the best of them with slopes of their own."""
+    """Fit trials with known slopes as far as these lead, then the best of them with slopes of their own.
+
+    Of these, those that are far behind halfway are not fitted to the end.
+    """
     trials, fits = [trial for trial, _ in scouted], [scout for _, scout in scouted]
     open_ones = [k for k, fit in enumerate(fits) if not fit.converged]
     found = problem.fit([trials[k] for k in open_ones], ITERATIONS, CLOSE, known, exact=False, renewals=0)

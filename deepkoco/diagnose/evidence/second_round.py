@@ -40,8 +40,8 @@ def can_gain(
 ) -> bool:
     """Return whether any other cause could still be named, whatever it is fitted from.
 
-    A fit that leaves only noise, and has left its prior no farther than any unit does, leaves nothing to gain. Where a
-    refit leaves more than noise, slopes there are no bound.
+    A fit that leaves only noise, and has left its prior no farther than any unit does, needs no rival: one that leaves
+    it less far is not looked for. Where a refit leaves more than noise, slopes there are no bound.
 
     Args:
         start: The baseline.

@@ -194,9 +194,8 @@ def rank(
             held = [(p.cause.name, p.values) for p in promising]
             also_there = [p for p in there if p.cause.searched and p.cause.name in also]
             promising = [*promising, *(p for p in also_there if (p.cause.name, p.values) not in held)]
-        from_given = [*promising, *far]
-        if many and not explained_mostly(given, reference):
-            from_given = [p for p in from_given if not p.cause.searched]
+        pushes = not many or explained_mostly(given, reference)
+        from_given = [p for p in (*promising, *far) if pushes or not p.cause.searched]
         values = [{**given.values, **p.values} for p in from_given]
         stuck = {name for name, fit in fits.items() if fit.stuck or fit.diverged}
         known = (

@@ -16,7 +16,7 @@ from deepkoco.systems.dry_friction_loop import CHANGE, MEAN, MOVES
 from deepkoco.systems.uncounted import UNCOUNTED
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "6f7b39ad70f24cdd"
+COMPILED_WITH = "508eb555e19f4b58"
 
 
 @njit(**UNCOUNTED)

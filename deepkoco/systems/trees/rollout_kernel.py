@@ -28,7 +28,7 @@ from deepkoco.systems.trees.newton_euler_kernel import LOAD, ROWS, SPARE
 from deepkoco.systems.trees.step_kernel import mean_levels, runge_kutta
 
 # numba looks at the source of this file alone: this line changes with those that compiled functions call.
-COMPILED_WITH = "4724a945b7ff60a6"
+COMPILED_WITH = "24e812059c7f95db"
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
