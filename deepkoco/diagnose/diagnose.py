@@ -20,7 +20,8 @@ from deepkoco.diagnose.causes import catalogue, causes_named, measured_channels,
 from deepkoco.diagnose.data import MIN_TRAINING_WINDOWS, cut_data
 from deepkoco.diagnose.diagnosis import Diagnosis
 from deepkoco.diagnose.evidence.selection import DETECTION
-from deepkoco.diagnose.explanation import Explanation
+from deepkoco.diagnose.explanation import Explanation, refitted
+from deepkoco.diagnose.later_part import LaterPart
 from deepkoco.diagnose.longer_windows import on_longer_windows
 from deepkoco.diagnose.lost_rows import with_lost_rows_beside
 from deepkoco.diagnose.probability.shadow import with_evidence
@@ -98,10 +99,10 @@ def diagnose(
     """
     began = time.perf_counter()
     base = stretchable_if_asked(any_system(system), only)
-    recordings, healthy, holdout = (
+    recordings, healthy, holdout = as_read = [
         [with_held_values(with_lost_rows(log)) for log in read_logs(logs, base)]
         for logs in (recordings, healthy, holdout)
-    )
+    ]
     plain = base.base if isinstance(base, ExtendedSystem) else base
     all_causes, measured = catalogue(plain, regrouping=True), measured_channels([*recordings, *holdout])
     causes = (
@@ -146,6 +147,12 @@ def diagnose(
         if len(data.train) < MIN_TRAINING_WINDOWS:
             return insufficient(request)
         learned, unfitted, beside = baseline, (), BesideHealthy(request, healthy, read.near)
+        ask = partial(
+            diagnose, system=system, seed=seed, window=window, detection=detection, only=only, progress=progress,
+            evidence=evidence,
+        )  # fmt: skip
+        whole = baseline is not None or len(recordings) != 1 or bool(holdout)
+        later = None if whole else LaterPart(as_read[0][0], as_read[1], ask)
         if learned is None and healthy:
             try:
                 learned = beside.learned()
@@ -153,13 +160,13 @@ def diagnose(
                 unfitted = (f"the healthy logs, which are left out ({error})",)
         if learned is not None:
             try:
-                return _diagnosed(request, learned, beside=beside)
+                return _diagnosed(request, learned, beside=beside, later=later)
             except DivergedError as error:
                 # The healthy logs may be of another unit, so their prior need not suit these logs.
                 unfitted = (f"these logs under the prior of the healthy logs, which are left out ({error})",)
         start = with_gauges_fixed(baseline_from(base, data.train), data.train)
         start = start if healthy else replace(start, near=read.near)
-        return _diagnosed(request, start, unfitted, window is not None)
+        return _diagnosed(request, start, unfitted, window is not None, later=later)
 
 
 def _diagnosed(
@@ -168,9 +175,25 @@ def _diagnosed(
     unfitted: Sequence[str] = (),
     chosen: bool = True,
     beside: BesideHealthy | None = None,
+    later: LaterPart | None = None,
 ) -> Diagnosis:
-    """Diagnose from one baseline: refit it and select causes, judge them, and build the result."""
+    """Diagnose from one baseline: refit it and select causes, judge them, and build the result.
+
+    Args:
+        request: The logs.
+        start: The baseline.
+        unfitted: What could not be fitted so far, in words.
+        chosen: Whether somebody chose the length of the windows.
+        beside: The healthy logs; None without any.
+        later: The log, where a change of the unit in it may be looked for.
+    """
     base = None if beside is None else beside.refit_of(start)
+    if later is not None:
+        base = refitted(request, start) if base is None else base
+        if (found := later.diagnosed(request, base)) is not None:
+            return replace(
+                found, seconds=time.perf_counter() - request.began, time_limit=request.limit.seconds
+            )
     found = _judged(start, request, unfitted, base)
     if beside is not None:
         found = beside.with_small_effects(found, partial(_judged, request=request, unfitted=unfitted))

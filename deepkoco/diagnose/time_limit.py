@@ -44,6 +44,11 @@ class TimeLimit:
         """Whether the time is over."""
         return self.seconds is not None and self._clock() - self._began >= self.seconds
 
+    @property
+    def left(self) -> float | None:
+        """Time that is left [s], positive; None without a limit."""
+        return None if self.seconds is None else max(self.seconds - (self._clock() - self._began), 1e-3)
+
     def allows(self, step: str) -> bool:
         """Return whether a step may begin; one that may not is remembered as left out.
 

@@ -195,11 +195,19 @@ def read_log(
             "fits leave out the windows there"
         )
     recording = Recording(series, path, name, sidecar.meta, unknown, (*notes, *doubts))
-    return recording if part is None else _part(recording, part, min_samples, min_seconds)
+    return recording if part is None else part_of(recording, part, min_samples, min_seconds)
 
 
-def _part(recording: Recording, part: tuple[float, float], min_samples: int, min_seconds: float) -> Recording:
+def part_of(
+    recording: Recording, part: tuple[float, float], min_samples: int = 20, min_seconds: float = 1.0
+) -> Recording:
     """Return a part of a log, which is named as its path.
+
+    Args:
+        recording: The log.
+        part: Begin and end of the part [s]; infinite for those of the log.
+        min_samples: Smallest number of samples of a measurement.
+        min_seconds: Shortest duration of the part [s].
 
     Raises:
         LogError: The part has too few samples.

@@ -49,6 +49,8 @@ def headline(diagnosis: Diagnosis) -> str:
         differs = f"{midway['text']}: one set of parameters does not explain both parts"
     if diagnosis.left_out:
         differs = "the time did not suffice to say by what"
+    if midway is not None:
+        named = f"T{midway['text'][1:]}. Since then: {named[0].lower()}{named[1:]}"
     return {
         "cause": named,
         "ambiguous": f"{named} (or an equivalent)",

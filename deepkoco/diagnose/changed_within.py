@@ -1,0 +1,111 @@
+"""Whether a unit is, until some time in its log, the one that its parameters describe, and then no longer.
+
+A brake that begins to drag, a load that is picked up or a supply that sags has a log of two units. What lasts in the
+later one is found beside the former one as a healthy log: in the whole log nothing lasts.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from deepkoco.diagnose.baseline import Baseline
+from deepkoco.diagnose.baseline_refit import refit
+from deepkoco.diagnose.data import MIN_TRAINING_WINDOWS, SPARED
+from deepkoco.diagnose.residuals.whiteness import more_than_noise
+from deepkoco.fit.data.windows import Windows
+from deepkoco.fit.fit import Fit, FitProblem
+from deepkoco.fit.solve.levenberg_marquardt import TO_BEGIN
+from deepkoco.fit.solve.scaled_inverse import DivergedError
+from deepkoco.logs.part import seconds
+
+FEWEST = 3  # fitted windows of the former unit
+NEAR = 5.0  # noise variances, beside the floor of the unit, up to which a window is explained
+EXPLAINED = 10.0  # times by which the later unit's error is larger, under the parameters of the former one
+MOSTLY = 0.75  # share of the later windows that these parameters do not explain
+ROUNDS = 4  # fits of the former unit at most, each of as many windows as the one before explains
+
+
+class Change(NamedTuple):
+    """A change of the unit within its log.
+
+    Attributes:
+        after_s: Time until which the unit is certainly the former one [s].
+        until_s: Time from which it is certainly the later one [s].
+        fall: Times by which the former unit's parameters explain its own part better than the later one.
+    """
+
+    after_s: float
+    until_s: float
+    fall: float
+
+    @property
+    def text(self) -> str:
+        """What happened and when, as a clause."""
+        between = f"between {seconds(self.after_s)} and {seconds(self.until_s)} s"
+        return f"the unit changed in the middle of this log, {between}"
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the change for `unexplained.changed_midway` of report.json."""
+        return {**self._asdict(), "text": self.text}
+
+
+def change_within(start: Baseline, train: Windows, held: Windows | None, whole: Fit) -> Change | None:
+    """Return when a unit changed that its parameters explain up to then, and hardly anywhere afterwards.
+
+    The first quarter of the fitted windows is fitted, and then as many as one fit after the other explains. The first
+    window that is not explained contains the change. A cause that lasts can be imitated by parameters, but not in
+    windows that are held out, so one of these must be explained before the change.
+
+    Args:
+        start: Prior and present values of the parameters.
+        train: Fitted windows.
+        held: Held-out windows of the same log; None where there are none.
+        whole: Fit of all fitted windows.
+
+    Returns:
+        The change; None where noise alone is left, for several logs, for few windows, where the first windows are not
+        explained, where most of the later ones are, and where a simulation diverges.
+    """
+    if held is None or len(held) == 0 or len({*train.log.tolist(), *held.log.tolist()}) != 1:
+        return None
+    order = np.argsort(train.t0)
+    count = max(len(order) // 4, FEWEST)
+    if len(order) < count + MIN_TRAINING_WINDOWS or more_than_noise(whole, train, start) is None:
+        return None
+    begin = np.concatenate([train.t0, held.t0])
+    for _ in range(ROUNDS):
+        part = train.take(np.sort(order[:count]))
+        try:
+            fit = refit(start, part, tolerance=TO_BEGIN)
+        except DivergedError:
+            return None
+        if fit.chi2 > NEAR * start.floor * part.samples:
+            return None
+        left = np.concatenate([_left(start, windows, fit) for windows in (train, held)])
+        bad = ~(left <= NEAR * start.floor)
+        bad &= begin > part.t0.max()
+        if not bad.any():
+            return None
+        change = begin[bad].min()
+        reached = int((train.t0 < change).sum())
+        if reached <= count:
+            break
+        count = reached
+    before, after = begin < change, begin > change
+    if after.sum() < MIN_TRAINING_WINDOWS + SPARED or bad[after].mean() < MOSTLY:
+        return None
+    if not (held.t0 < change).any():
+        return None
+    fall = float(left[after].mean() / max(left[before].mean(), 1e-300))
+    if not fall > EXPLAINED:
+        return None
+    return Change(float(change), float(change) + train.length, fall)
+
+
+def _left(start: Baseline, windows: Windows, fit: Fit) -> np.ndarray:
+    """Return the mean squared error (W,) of windows under a fit's parameters [noise variances]."""
+    _, cost = FitProblem(start.system, windows).fit_states(fit.values, windows.state)
+    samples = windows.valid.flatten(1).sum(1).clamp_min(1)
+    return np.nan_to_num((cost / samples).numpy(), nan=np.inf, posinf=1e300)

@@ -1,0 +1,70 @@
+"""The later part of a log in which the unit has changed, diagnosed beside the part before as a healthy log."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from deepkoco.diagnose.changed_within import EXPLAINED, Change, change_within
+from deepkoco.diagnose.diagnosis import Diagnosis, Evidence
+from deepkoco.diagnose.refitted import Refitted
+from deepkoco.diagnose.request import DiagnosisRequest
+from deepkoco.fit.solve.scaled_inverse import DivergedError
+from deepkoco.logs.formats.log_file import LogError
+from deepkoco.logs.recording import Recording, part_of
+
+
+@dataclass(frozen=True)
+class LaterPart:
+    """A log that may be of two units, one after the other.
+
+    Attributes:
+        log: The log, as it was read.
+        healthy: Healthy logs, as they were read.
+        ask: Diagnoses logs beside healthy ones, within a time limit [s]: `ask(logs, healthy=..., time_limit=...)`.
+    """
+
+    log: Recording
+    healthy: Sequence[Recording]
+    ask: Callable[..., Diagnosis]
+
+    def diagnosed(self, request: DiagnosisRequest, base: Refitted) -> Diagnosis | None:
+        """Return what the later part shows, where the unit has changed and a cause is named.
+
+        A cause that was there before, too, is consistent with the part before, and is not named. So one that is named
+        began with the change.
+
+        Args:
+            request: The question about the whole log.
+            base: The baseline, refitted to it.
+
+        Returns:
+            The diagnosis of the later part; None where the whole log is one of one unit, as far as this tells.
+        """
+        held = base.held if request.data.own else None
+        change = change_within(base.start, base.train, held, base.reference)
+        if change is None or not request.limit.allows("the part after a change of the unit"):
+            return None
+        request.progress(f"{change.text}: the part after it, with the part before as a healthy log")
+        try:
+            former = part_of(self.log, (-math.inf, change.after_s))
+            later = part_of(self.log, (change.until_s, math.inf))
+            found = self.ask([later], healthy=[*self.healthy, former], time_limit=request.limit.left)
+        except (LogError, DivergedError):
+            return None
+        return _since(change, found) if found.verdict in ("cause", "ambiguous") else None
+
+
+def _since(change: Change, found: Diagnosis) -> Diagnosis:
+    """Add to the diagnosis of a later part since when it holds; one of a part that changed again says it already."""
+    told = found.unexplained
+    if "changed_midway" in told:
+        return found
+    text = (
+        f"T{change.text[1:]}: the parameters of the part before leave an error {change.fall:.3g} times as large "
+        "after it. This diagnosis is of the part after the change, with the part before as a healthy log."
+    )
+    seen = Evidence("changed_midway", change.fall, EXPLAINED, text)
+    signatures = [vars(seen), *told.get("signatures", ())]
+    return replace(found, unexplained={**told, "changed_midway": change.to_json(), "signatures": signatures})
