@@ -6,6 +6,7 @@ later one is found beside the former one as a healthy log: in the whole log noth
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.baseline_refit import refit
 from deepkoco.diagnose.data import MIN_TRAINING_WINDOWS, SPARED
 from deepkoco.diagnose.residuals.whiteness import more_than_noise
+from deepkoco.fit.data.halves import halved
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.fit.solve.levenberg_marquardt import TO_BEGIN
@@ -21,6 +23,7 @@ from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.logs.part import seconds
 
 FEWEST = 3  # fitted windows of the former unit
+FEWEST_STEPS = 20  # of a window
 NEAR = 5.0  # noise variances, beside the floor of the unit, up to which a window is explained
 EXPLAINED = 10.0  # times by which the later unit's error is larger, under the parameters of the former one
 MOSTLY = 0.75  # share of the later windows that these parameters do not explain
@@ -56,7 +59,7 @@ def change_within(start: Baseline, train: Windows, held: Windows | None, whole: 
 
     The first quarter of the fitted windows is fitted, and then as many as one fit after the other explains. The first
     window that is not explained contains the change. A cause that lasts can be imitated by parameters, but not in
-    windows that are held out, so one of these must be explained before the change.
+    windows that are not fitted, so one of these must be explained before the change.
 
     Args:
         start: Prior and present values of the parameters.
@@ -70,25 +73,35 @@ def change_within(start: Baseline, train: Windows, held: Windows | None, whole: 
     """
     if held is None or len(held) == 0 or len({*train.log.tolist(), *held.log.tolist()}) != 1:
         return None
+    if more_than_noise(whole, train, start) is None:
+        return None
+    while len(train) < 4 * FEWEST and train.steps >= 2 * FEWEST_STEPS:
+        train, held = halved(train), halved(held)
     order = np.argsort(train.t0)
     count = max(len(order) // 4, FEWEST)
-    if len(order) < count + MIN_TRAINING_WINDOWS or more_than_noise(whole, train, start) is None:
+    if len(order) < count + MIN_TRAINING_WINDOWS:
         return None
     begin = np.concatenate([train.t0, held.t0])
+    last_quarter = begin >= np.sort(train.t0)[-count]
+    foretold = False
     for _ in range(ROUNDS):
         part = train.take(np.sort(order[:count]))
         try:
             fit = refit(start, part, tolerance=TO_BEGIN)
         except DivergedError:
             return None
-        if fit.chi2 > NEAR * start.floor * part.samples:
+        near = fit.chi2 / part.samples
+        if near > NEAR * start.floor:
             return None
         left = np.concatenate([_left(start, windows, fit) for windows in (train, held)])
-        bad = ~(left <= NEAR * start.floor)
-        bad &= begin > part.t0.max()
+        # What is neither of the former unit nor clearly of the later one is nearer to one of them.
+        bad = ~(left <= max(NEAR * start.floor, math.sqrt(near * float(np.median(left[last_quarter])))))
+        later = begin > part.t0.max()
+        bad &= later
         if not bad.any():
             return None
-        change = begin[bad].min()
+        change = float(begin[bad].min())
+        foretold |= bool((later & (begin < change)).any()) or bool((held.t0 < change).any())
         reached = int((train.t0 < change).sum())
         if reached <= count:
             break
@@ -96,12 +109,13 @@ def change_within(start: Baseline, train: Windows, held: Windows | None, whole: 
     before, after = begin < change, begin > change
     if after.sum() < MIN_TRAINING_WINDOWS + SPARED or bad[after].mean() < MOSTLY:
         return None
-    if not (held.t0 < change).any():
+    if not foretold:
         return None
     fall = float(left[after].mean() / max(left[before].mean(), 1e-300))
     if not fall > EXPLAINED:
         return None
-    return Change(float(change), float(change) + train.length, fall)
+    # Windows in which a joint rests are missing.
+    return Change(float(begin[before].max()) + train.length, change + train.length, fall)
 
 
 def _left(start: Baseline, windows: Windows, fit: Fit) -> np.ndarray:
