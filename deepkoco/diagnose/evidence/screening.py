@@ -58,7 +58,7 @@ def screen(
     A start at null is tested along the slopes of its free parameters. A start away from null is tested along the
     secant from null to the start, because some effects have zero slope at null. A changed parameter of the system
     needs no simulation: the linearised problem contains it, and only its prior becomes wider. It is left out where
-    another cause adds to the same quantity.
+    another cause adds to the same quantity what it needs.
     """
     tangent = Linearised(problem, reference, prior) if tangent is None else tangent
     free = set(reference.free)
@@ -81,17 +81,17 @@ def screen(
         slope, promise = tangent.slope_of(name), tangent.promise_of_change(name, prior)
         # Both respond to 1 unit alike, as an addition to the friction does to friction itself.
         unit = problem.system.parameter(name).unit
-        alike = [
-            d
+        taken_over = {
+            d: _taken_over(problem, reference, prior, name, own)
             for d, own in single.items()
             if problem.system.parameter(own).unit == unit
             and _same_response(moved[d], doses[d][own] - reference.values[own], slope)
-        ]
-        if not alike:
+        }
+        # A payload has the response of its body's mass, but no body gets lighter by one.
+        if all(points[owner[d]].promise < NEARLY * promise and not taken for d, taken in taken_over.items()):
             points.append(StartPoint(cause, place, promise))
-        for d in alike:
+        for d, taken in taken_over.items():
             rival = points[owner[d]]
-            taken = _taken_over(problem, reference, prior, name, single[d])
             start = StartPoint(rival.cause, {**rival.values, **taken}, promise)
             if taken and promise > NEARLY * rival.promise:
                 points[owner[d]] = start

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,7 +21,13 @@ from deepkoco.diagnose.evidence.start_values import Hints
 from deepkoco.diagnose.probability.amplitudes import Amplitudes
 from deepkoco.diagnose.probability.answer import Answer, Weighed
 from deepkoco.diagnose.probability.columns import columns_at, zeros_of
-from deepkoco.diagnose.probability.coordinates import Catalogue, coordinates_of, share_of_any, tolerances
+from deepkoco.diagnose.probability.coordinates import (
+    Catalogue,
+    Coordinate,
+    coordinates_of,
+    share_of_any,
+    tolerances,
+)
 from deepkoco.diagnose.probability.explanations import FURTHER
 from deepkoco.diagnose.probability.gram import WindowSums
 from deepkoco.diagnose.probability.healthy_unit import HealthyUnit, learned_unit
@@ -261,7 +267,7 @@ def linearised(
     hints = Hints(start.system.base, problem.windows, missing, chi2, strained(problem, start, origin))
     listed = coordinates_of(problem, start.prior.names, origin.values, causes, hints)
     columns = columns_at(problem, origin, listed.coordinates)
-    listed = _without_doubles(problem, listed, columns.changes)
+    doubles = _doubles(problem, listed, columns.changes)
     responses, own = slot_responses(problem, origin), len(listed.base)
     ranges = ranges_of(problem, missing) if healthy is None else healthy.ranges
     smooth, sudden = of_motion(problem, responses, missing, ranges), in_time(responses, problem.system.joints)
@@ -290,28 +296,47 @@ def linearised(
         fixed.here,
         np.zeros(count),
     )
-    tried = len({i.cause.name for i in listed.items})
-    return Point(fixed, search(linear, () if alone else listed.items, tried), tried)
+    tried = len({i.cause.name for i in listed.items if i.columns[0] not in doubles})
+    found = search(linear, () if alone else listed.items, tried)
+    return Point(fixed, _without_doubles(found, doubles), tried)
 
 
-def _without_doubles(problem: FitProblem, listed: Catalogue, changes: np.ndarray) -> Catalogue:
-    """Leave out changed parameters to which another cause adds, as added friction does to friction itself."""
-    kept = []
+def _doubles(problem: FitProblem, listed: Catalogue, changes: np.ndarray) -> dict[int, list[Coordinate]]:
+    """Return what other causes add to a changed parameter, as added friction does to friction itself.
+
+    Returns:
+        Number of the column of a changed parameter -> changes that move the measurements alike; only where there are
+        any.
+    """
+    found = {}
     for item in listed.items:
         if is_changed(item.cause):
-            own = changes[:, :, item.columns[0]]
+            own, (column,) = changes[:, :, item.columns[0]], item.columns
             unit = problem.system.parameter(item.cause.free[0]).unit
-            rivals = (
-                k
+            found[column] = [
+                c
                 for k, c in enumerate(listed.coordinates)
                 if k >= len(listed.base)
                 and c.tolerated
                 and problem.system.parameter(c.parameter).unit == unit
-            )
-            if any(np.linalg.norm(changes[:, :, k] - own) <= SAME * np.linalg.norm(own) for k in rivals):
-                continue
-        kept.append(item)
-    return replace(listed, items=tuple(kept))
+                and np.linalg.norm(changes[:, :, k] - own) <= SAME * np.linalg.norm(own)
+            ]
+    return {column: rivals for column, rivals in found.items() if rivals}
+
+
+def _without_doubles(scored: Sequence[Scored], doubles: Mapping[int, Sequence[Coordinate]]) -> list[Scored]:
+    """Leave out explanations by a changed parameter to which another cause can add as much.
+
+    A payload adds to the mass of its body, but takes nothing away.
+    """
+
+    def is_double(one: Scored) -> bool:
+        columns = one.explanation.columns
+        changed = [i.columns[0] for i in one.explanation.items if is_changed(i.cause)]
+        amounts = {c: one.mode[columns.index(c)] for c in changed}
+        return any(rival.low <= amounts[c] <= rival.high for c in changed for rival in doubles.get(c, ()))
+
+    return [s for s in scored if not is_double(s)]
 
 
 def _refitted(
