@@ -9,7 +9,8 @@ from torch import Tensor
 
 from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.causes import Cause, is_changed
-from deepkoco.diagnose.causes.tolerance import Healthy
+from deepkoco.diagnose.causes.tolerance import BESIDE_HEALTHY, OF_MODEL_FILE, Healthy
+from deepkoco.diagnose.data_sheet import guessed
 from deepkoco.diagnose.evidence.priors import declared
 from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem
@@ -53,6 +54,9 @@ def tolerated(problem: FitProblem, start: Baseline, cause: Cause, fit: Fit, defl
     """
     if not cause.sizes or not set(cause.sizes) <= set(fit.free):
         return False
+    rough = start.roughness
+    if guessed(start):
+        rough = max(rough, OF_MODEL_FILE if start.healthy is None else BESIDE_HEALTHY)
     loads = start.system.load_scales
     load = max(loads) if cause.joint is None else loads[cause.joint]
     period, speed = sample_period(problem.windows), usual_speed(start, cause, fit.state)
@@ -65,7 +69,7 @@ def tolerated(problem: FitProblem, start: Baseline, cause: Cause, fit: Fit, defl
         least, greatest = learned + min(BEYOND * span, 0.0), learned + max(BEYOND * span, 0.0)
         away = max(least - (value - reach), value + reach - greatest)
         most = cause.tolerance(Healthy(parameter, load, period, dict(fit.values), speed))
-        if not away <= (most if is_changed(cause) else start.roughness * most):
+        if not away <= (most if is_changed(cause) else rough * most):
             return False
     return True
 
