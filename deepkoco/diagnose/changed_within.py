@@ -37,11 +37,13 @@ class Change(NamedTuple):
         after_s: Time until which the unit is certainly the former one [s].
         until_s: Time from which it is certainly the later one [s].
         fall: Times by which the former unit's parameters explain its own part better than the later one.
+        near: Mean squared error of the former part under its own parameters [noise variances].
     """
 
     after_s: float
     until_s: float
     fall: float
+    near: float
 
     @property
     def text(self) -> str:
@@ -51,7 +53,7 @@ class Change(NamedTuple):
 
     def to_json(self) -> dict[str, Any]:
         """Return the change for `unexplained.changed_midway` of report.json."""
-        return {**self._asdict(), "text": self.text}
+        return {"after_s": self.after_s, "until_s": self.until_s, "fall": self.fall, "text": self.text}
 
 
 def change_within(start: Baseline, train: Windows, held: Windows | None, whole: Fit) -> Change | None:
@@ -115,7 +117,7 @@ def change_within(start: Baseline, train: Windows, held: Windows | None, whole: 
     if not fall > EXPLAINED:
         return None
     # Windows in which a joint rests are missing.
-    return Change(float(begin[before].max()) + train.length, change + train.length, fall)
+    return Change(float(begin[before].max()) + train.length, change + train.length, fall, near)
 
 
 def _left(start: Baseline, windows: Windows, fit: Fit) -> np.ndarray:

@@ -6,10 +6,14 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from deepkoco.diagnose.changed_within import EXPLAINED, Change, change_within
+from deepkoco.diagnose.causes import is_changed
+from deepkoco.diagnose.changed_within import EXPLAINED, NEAR, Change, change_within
 from deepkoco.diagnose.diagnosis import Diagnosis, Evidence
+from deepkoco.diagnose.evidence.forward import Selection
+from deepkoco.diagnose.progress import silent
 from deepkoco.diagnose.refitted import Refitted
 from deepkoco.diagnose.request import DiagnosisRequest
+from deepkoco.diagnose.residuals.residuals import missing_torque
 from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.logs.formats.log_file import LogError
 from deepkoco.logs.recording import Recording, part_of
@@ -33,7 +37,7 @@ class LaterPart:
         """Return what the later part shows, where the unit has changed and a cause is named.
 
         A cause that was there before, too, is consistent with the part before, and is not named. So one that is named
-        began with the change.
+        began with the change. Where a cause that depends on time explains the whole log, there are no two units.
 
         Args:
             request: The question about the whole log.
@@ -46,6 +50,9 @@ class LaterPart:
         change = change_within(base.start, base.train, held, base.reference)
         if change is None or not request.limit.allows("the part after a change of the unit"):
             return None
+        request.progress("what happens once in the log, or grows in it")
+        if _left_in_time(request, base) <= max(NEAR * base.start.floor, EXPLAINED * change.near):
+            return None
         request.progress(f"{change.text}: the part after it, with the part before as a healthy log")
         try:
             former = part_of(self.log, (-math.inf, change.after_s))
@@ -54,6 +61,18 @@ class LaterPart:
         except (LogError, DivergedError):
             return None
         return _since(change, found) if found.verdict in ("cause", "ambiguous") else None
+
+
+def _left_in_time(request: DiagnosisRequest, base: Refitted) -> float:
+    """Return what the best cause that depends on time leaves of the whole log [noise variances a sample].
+
+    A push, a slip of an encoder and a drift have two parts in one log, too, and say more than that.
+    """
+    causes = [c for c in request.causes if c.axis == "time" and c.free and not is_changed(c)]
+    asked = Selection(base.start, base.train, base.held, causes, request.detection, silent, request.limit)
+    ranking = asked.first_ranking(base.reference, missing_torque(base.problem, base.reference)).ranking
+    least = min((c.fit.chi2 for c in ranking.candidates), default=math.inf)
+    return least / base.train.samples
 
 
 def _since(change: Change, found: Diagnosis) -> Diagnosis:
