@@ -165,7 +165,7 @@ class Answers(NamedTuple):
         Args:
             numbers: (D,) wave numbers k [1/rad or rad/m].
         """
-        loads = torch.stack([self._load(float(number)) for number in numbers], 2)  # (W, K, D, 2)
+        loads = self._loads(numbers)
         acting = (self.gram @ loads.flatten(2)).unflatten(-1, loads.shape[2:])
         gram = (loads[..., :, None] * acting[..., None, :]).sum((0, 1))
         match = (loads * self.match[..., None, None]).sum((0, 1))
@@ -173,8 +173,14 @@ class Answers(NamedTuple):
         size = torch.linalg.solve(gram, match)
         return (size * match).sum(-1).numpy(), size.numpy()
 
-    def _load(self, number: float) -> Tensor:
-        """Return the mean of the sine and the cosine of a wave number in each slot (W, K, 2)."""
-        phase = number * self.waves.middle()
-        wave = torch.stack([torch.sin(phase), torch.cos(phase)], -1)  # (W, n, 2)
-        return torch.stack([wave[:, slot].mean(1) for slot in self.slots], 1)
+    def _loads(self, numbers: np.ndarray) -> Tensor:
+        """Return the means of the sines and cosines of wave numbers (D,) in each slot (W, K, D, 2)."""
+        middle = self.waves.middle().numpy()
+        begins = [slot.start for slot in self.slots]
+        lengths = np.array([slot.stop - slot.start for slot in self.slots])
+        loads = np.empty((len(middle), len(begins), len(numbers), 2))
+        for d, number in enumerate(numbers):
+            phase = number * middle
+            for k, wave in enumerate((np.sin(phase), np.cos(phase))):
+                loads[:, :, d, k] = np.add.reduceat(wave, begins, axis=1) / lengths
+        return torch.from_numpy(loads)
