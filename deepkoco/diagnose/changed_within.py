@@ -27,6 +27,7 @@ FEWEST_STEPS = 20  # of a window
 NEAR = 5.0  # noise variances, beside the floor of the unit, up to which a window is explained
 EXPLAINED = 10.0  # times by which the later unit's error is larger, under the parameters of the former one
 MOSTLY = 0.75  # share of the later windows that these parameters do not explain
+DIVERGED = 1e12  # noise variances of a window whose simulation diverges
 ROUNDS = 4  # fits of the former unit at most, each of as many windows as the one before explains
 
 
@@ -84,26 +85,17 @@ def change_within(start: Baseline, train: Windows, held: Windows | None, whole: 
     if len(order) < count + MIN_TRAINING_WINDOWS:
         return None
     begin = np.concatenate([train.t0, held.t0])
-    last_quarter = begin >= np.sort(train.t0)[-count]
-    foretold = False
+    last_quarter, foretold = begin >= np.sort(train.t0)[-count], False
     for _ in range(ROUNDS):
         part = train.take(np.sort(order[:count]))
-        try:
-            fit = refit(start, part, tolerance=TO_BEGIN)
-        except DivergedError:
+        found = _former(start, part, (train, held), last_quarter)
+        if found is None:
             return None
-        near = fit.chi2 / part.samples
-        if near > NEAR * start.floor:
-            return None
-        left = np.concatenate([_left(start, windows, fit) for windows in (train, held)])
-        # What is neither of the former unit nor clearly of the later one is nearer to one of them.
-        bad = ~(left <= max(NEAR * start.floor, math.sqrt(near * float(np.median(left[last_quarter])))))
-        later = begin > part.t0.max()
-        bad &= later
+        bad = found.bad & (begin > part.t0.max())
         if not bad.any():
             return None
         change = float(begin[bad].min())
-        foretold |= bool((later & (begin < change)).any()) or bool((held.t0 < change).any())
+        foretold |= bool(((begin > part.t0.max()) & (begin < change)).any() or (held.t0 < change).any())
         reached = int((train.t0 < change).sum())
         if reached <= count:
             break
@@ -111,17 +103,57 @@ def change_within(start: Baseline, train: Windows, held: Windows | None, whole: 
     before, after = begin < change, begin > change
     if after.sum() < MIN_TRAINING_WINDOWS + SPARED or bad[after].mean() < MOSTLY:
         return None
-    if not foretold:
-        return None
-    fall = float(left[after].mean() / max(left[before].mean(), 1e-300))
-    if not fall > EXPLAINED:
+    fall = float(np.median(found.left[after]) / max(found.left[before].mean(), 1e-300))
+    if not (foretold and fall > EXPLAINED):
         return None
     # Windows in which a joint rests are missing.
-    return Change(float(begin[before].max()) + train.length, change + train.length, fall, near)
+    return Change(float(begin[before].max()) + train.length, change + train.length, fall, found.near)
+
+
+class _Former(NamedTuple):
+    """What the parameters of some first windows leave.
+
+    Attributes:
+        near: Mean squared error of these windows [noise variances].
+        left: (N,) the same of each window of the log.
+        bad: (N,) whether a window is nearer to what they leave of the last quarter than to that.
+    """
+
+    near: float
+    left: np.ndarray
+    bad: np.ndarray
+
+
+def _former(
+    start: Baseline, part: Windows, all_windows: tuple[Windows, Windows], last_quarter: np.ndarray
+) -> _Former | None:
+    """Fit some first windows; None where this does not explain them, or diverges.
+
+    Args:
+        start: Prior and present values of the parameters.
+        part: The windows to fit.
+        all_windows: Fitted and held-out windows of the log, N together.
+        last_quarter: (N,) which of them are the last ones.
+    """
+    try:
+        fit = refit(start, part, tolerance=TO_BEGIN)
+    except DivergedError:
+        return None
+    near = fit.chi2 / part.samples
+    if not near <= NEAR * start.floor:
+        return None
+    left = np.concatenate([_left(start, windows, fit) for windows in all_windows])
+    later = left[last_quarter & (left < DIVERGED)]
+    level = float(np.median(later)) if len(later) else DIVERGED
+    return _Former(near, left, left > max(NEAR * start.floor, math.sqrt(near * level)))
 
 
 def _left(start: Baseline, windows: Windows, fit: Fit) -> np.ndarray:
-    """Return the mean squared error (W,) of windows under a fit's parameters [noise variances]."""
+    """Return the mean squared error (W,) of W windows under a fit's parameters [noise variances].
+
+    It is ``DIVERGED`` at most, also where the simulation of a window diverges.
+    """
     _, cost = FitProblem(start.system, windows).fit_states(fit.values, windows.state)
     samples = windows.valid.flatten(1).sum(1).clamp_min(1)
-    return np.nan_to_num((cost / samples).numpy(), nan=np.inf, posinf=1e300)
+    left = np.nan_to_num((cost / samples).numpy(), nan=DIVERGED, posinf=DIVERGED)
+    return np.minimum(left, DIVERGED)

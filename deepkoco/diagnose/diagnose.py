@@ -70,6 +70,10 @@ def diagnose(
     lists the causes that the data cannot distinguish from it. Forward selection adds further causes. The
     remaining structure decides between "nothing" and "unknown". Held-out windows (or logs) measure the gain.
 
+    A single log may be of a unit that changed within it. Where a cause began then, the result is that of the part after
+    the change, with the part before as a further healthy log, and its ``unexplained["changed_midway"]`` says when.
+    This is not asked with ``holdout`` or ``baseline``.
+
     Args:
         recordings: Logs to explain: recordings, paths of logs, or folders of logs.
         system: Name of the system, or a system (plain, or loaded from model.yaml).
@@ -164,6 +168,7 @@ def diagnose(
             except DivergedError as error:
                 # The healthy logs may be of another unit, so their prior need not suit these logs.
                 unfitted = (f"these logs under the prior of the healthy logs, which are left out ({error})",)
+                later = None if later is None else replace(later, healthy=())
         start = with_gauges_fixed(baseline_from(base, data.train), data.train)
         start = start if healthy else replace(start, near=read.near)
         return _diagnosed(request, start, unfitted, window is not None, later=later)

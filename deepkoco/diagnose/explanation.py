@@ -20,6 +20,7 @@ from deepkoco.diagnose.request import DiagnosisRequest
 from deepkoco.diagnose.residuals.residuals import missing_torque
 from deepkoco.fit.fit import Fit
 
+SEEN_BEFORE = "what the healthy logs say of the causes"  # step that a time limit may leave out
 MOST_EXTENSIONS = 3  # times that causes consistent with the healthy logs join the baseline
 
 
@@ -155,7 +156,7 @@ def seen_before(request: DiagnosisRequest, selection: Selection, found: Selected
     """
     if selection.start.healthy is None or not found.accepted:
         return []
-    if not request.limit.allows("what the healthy logs say of the causes"):
+    if not request.limit.allows(SEEN_BEFORE):
         return []
     causes = [c for c in selection.consistent_with_healthy(found) if not frees_scale(selection.start, c)]
     if causes:

@@ -233,13 +233,14 @@ def note_on_gain(
     refit = "The refit is"
     if changed_s is not None:
         note += f" Windows of this log are of the unit from {seconds(changed_s)} s on."
+    if changed_s is not None and not named:
         refit = "The refits of the whole log and of this part are"
     if as_given:
         return (
             f"{note} {refit} worse on them than the simulation as given (or as learned from healthy logs), so "
             "model.yaml keeps the parameters as given."
         )
-    if changed_s is not None:
+    if changed_s is not None and not named:
         return (
             f"{note} model.yaml has the parameters that this part shows, as those of the unit as it is now."
         )

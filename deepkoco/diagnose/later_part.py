@@ -6,10 +6,13 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from deepkoco.diagnose.causes import is_changed
 from deepkoco.diagnose.changed_within import EXPLAINED, NEAR, Change, change_within
 from deepkoco.diagnose.diagnosis import Diagnosis, Evidence
 from deepkoco.diagnose.evidence.forward import Selection
+from deepkoco.diagnose.explanation import SEEN_BEFORE
 from deepkoco.diagnose.progress import silent
 from deepkoco.diagnose.refitted import Refitted
 from deepkoco.diagnose.request import DiagnosisRequest
@@ -18,14 +21,16 @@ from deepkoco.fit.solve.scaled_inverse import DivergedError
 from deepkoco.logs.formats.log_file import LogError
 from deepkoco.logs.recording import Recording, part_of
 
+STEP = "the part after a change of the unit"
+
 
 @dataclass(frozen=True)
 class LaterPart:
     """A log that may be of two units, one after the other.
 
     Attributes:
-        log: The log, as it was read.
-        healthy: Healthy logs, as they were read.
+        log: The log, before its commands are moved to the instants at which they act.
+        healthy: Healthy logs, likewise.
         ask: Diagnoses logs beside healthy ones, within a time limit [s]: `ask(logs, healthy=..., time_limit=...)`.
     """
 
@@ -48,19 +53,23 @@ class LaterPart:
         """
         held = base.held if request.data.own else None
         change = change_within(base.start, base.train, held, base.reference)
-        if change is None or not request.limit.allows("the part after a change of the unit"):
+        if change is None or not request.limit.allows(STEP):
             return None
         request.progress("what happens once in the log, or grows in it")
-        if _left_in_time(request, base) <= max(NEAR * base.start.floor, EXPLAINED * change.near):
-            return None
-        request.progress(f"{change.text}: the part after it, with the part before as a healthy log")
         try:
+            if _left_in_time(request, base) <= max(NEAR * base.start.floor, EXPLAINED * change.near):
+                return None
+            if not request.limit.allows(STEP):
+                return None
+            request.progress(f"{change.text}: the part after it, with the part before as a healthy log")
             former = part_of(self.log, (-math.inf, change.after_s))
             later = part_of(self.log, (change.until_s, math.inf))
             found = self.ask([later], healthy=[*self.healthy, former], time_limit=request.limit.left)
-        except (LogError, DivergedError):
+        except (LogError, DivergedError, np.linalg.LinAlgError):
             return None
-        return _since(change, found) if found.verdict in ("cause", "ambiguous") else None
+        # Only beside the part before is a cause known to be new.
+        new = bool(found.data.get("healthy")) and SEEN_BEFORE not in found.left_out
+        return _since(change, found) if new and found.verdict in ("cause", "ambiguous") else None
 
 
 def _left_in_time(request: DiagnosisRequest, base: Refitted) -> float:

@@ -41,7 +41,7 @@ from deepkoco.logs.unused import listed, unused_columns
 from deepkoco.output.whole_file import write_whole_text, writing
 from deepkoco.suggestion import did_you_mean
 
-__all__ = ["LogError", "Recording", "Series", "read_log", "write_log"]
+__all__ = ["LogError", "Recording", "Series", "part_of", "read_log", "write_log"]
 
 FILLS = ("drop", "hold")
 DATES = 1.1e9  # stamps from here on are seconds since 1970 [s]
@@ -210,20 +210,20 @@ def part_of(
         min_seconds: Shortest duration of the part [s].
 
     Raises:
-        LogError: The part has too few samples.
+        LogError: The part is too short, or has too few samples.
     """
     start, stop = max(part[0], recording.start), min(part[1], recording.stop)
-    path = Path(named_part(recording.path or "log", *(t if np.isfinite(t) else None for t in part)))
+    named = Path(named_part(recording.path or "log", *(t if np.isfinite(t) else None for t in part)))
     if stop - start < min_seconds:
         raise LogError(
-            f"{path}: this part has {max(stop - start, 0.0):.3g} s and needs {min_seconds:g} s; the log lasts from "
+            f"{named}: this part has {max(stop - start, 0.0):.3g} s and needs {min_seconds:g} s; the log lasts from "
             f"{recording.start:.6g} to {recording.stop:.6g} s"
         )
-    cut = replace(recording.between(start, stop), path=path)
+    cut = replace(recording.between(start, stop), path=None if recording.path is None else named)
     # The command that holds at the begin is one of this part, however long ago it was sent.
     held = {n: replace(c, t=np.maximum(c.t, start)) for n, c in cut.channels.items() if c.kind == "command"}
     cut = replace(cut, channels={**cut.channels, **held})
-    check_content(path, cut.channels, min_samples, min_seconds, True)
+    check_content(named, cut.channels, min_samples, min_seconds, True)
     return cut
 
 

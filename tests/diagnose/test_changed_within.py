@@ -11,6 +11,7 @@ from deepkoco.diagnose import diagnose
 from deepkoco.diagnose.baseline import baseline_from
 from deepkoco.diagnose.baseline_refit import refit
 from deepkoco.diagnose.changed_within import change_within
+from deepkoco.diagnose.explanation import SEEN_BEFORE
 from deepkoco.diagnose.report.text import headline
 from deepkoco.excitation.record import record
 from deepkoco.fit.data.windows import cut_windows, moving
@@ -102,3 +103,9 @@ def test_the_report_is_of_the_later_part(braked, tmp_path):
     until = braked.unexplained["changed_midway"]["until_s"]
     assert (braked.gain.replayed.t0 >= until).all()
     assert "Since then: the simulation lacks" in braked.save(tmp_path / "report").read_text()
+
+
+def test_since_when_is_said_only_where_the_part_before_was_asked():
+    found = diagnose([joined(log(1), log(2, **DRAGS))], SYSTEM, time_limit=2.0)
+    unasked = SEEN_BEFORE in found.left_out
+    assert not (unasked and "Since then" in headline(found))

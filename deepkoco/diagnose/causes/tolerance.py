@@ -25,7 +25,7 @@ LEAD_SHARE = (
 SAMPLE_SHARE = 0.01  # of the sample period, by which stamps are early or late
 # Times those tolerances of a machine of which only a model file is known: 0.5 % of the load.
 OF_MODEL_FILE = 10.0
-BESIDE_HEALTHY = 3.0  # the same where a healthy log tells more of it, in another motion and on another day
+BESIDE_HEALTHY = 3.0  # times them beside healthy logs, which are of other motions and another day
 USUAL, USUAL_FRICTION = (
     0.02,
     0.1,

@@ -88,7 +88,15 @@ def screen(
             and _same_response(moved[d], doses[d][own] - reference.values[own], slope)
         }
         # A payload has the response of its body's mass, but no body gets lighter by one.
-        if all(points[owner[d]].promise < NEARLY * promise and not taken for d, taken in taken_over.items()):
+        given = float(prior.mean([name])[0])
+        away = abs(reference.values[name] - given)
+        enough = [
+            abs(taken[name] - given) <= (1.0 - NEARLY) * away
+            if taken
+            else points[owner[d]].promise >= NEARLY * promise
+            for d, taken in taken_over.items()
+        ]
+        if not any(enough):
             points.append(StartPoint(cause, place, promise))
         for d, taken in taken_over.items():
             rival = points[owner[d]]

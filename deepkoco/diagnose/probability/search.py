@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,13 +34,16 @@ class Scored:
     mode: np.ndarray
 
 
-def search(linear: Linearisation, items: Sequence[Item], causes: int) -> list[Scored]:
+def search(
+    linear: Linearisation, items: Sequence[Item], causes: int, left_out: Callable[[Scored], bool]
+) -> list[Scored]:
     """Score nothing, unknown, every single cause and all sets of up to three, best first.
 
     Args:
         linear: The likelihood.
         items: Causes from each of their starts.
         causes: Number of causes of the catalogue.
+        left_out: Whether an explanation is none. A cause that is none alone is in no set.
     """
     amplitudes = linear.unit.amplitudes
     top = np.maximum(amplitudes.log_healthy, amplitudes.log_unknown)
@@ -62,9 +65,15 @@ def search(linear: Linearisation, items: Sequence[Item], causes: int) -> list[Sc
         if own is not None:
             freed = linear.freed(own, sets)
             gains[a], modes[a] = _sound(freed.log_gain), freed.mode
+    sound = []
     for k, item in enumerate(items):
-        found.append(_scored(Explanation((item,)), healthy + gains[:, k], causes, modes[:, k]))
-        found.append(_scored(Explanation((item,), True), unknown + gains[:, k], causes, modes[:, k]))
+        own = _scored(Explanation((item,)), healthy + gains[:, k], causes, modes[:, k])
+        if not left_out(own):
+            sound.append(k)
+            found += [own, _scored(Explanation((item,), True), unknown + gains[:, k], causes, modes[:, k])]
+    items, gains = [items[k] for k in sound], gains[:, sound]
+    if not items:
+        return sorted(found, key=lambda s: -s.log_weight)
     # Several causes, at the sizes of the model error that nothing and the best single cause ask for.
     weight = log_sum(healthy[:, None] + gains, axis=0)
     best = int(weight.argmax())
@@ -73,7 +82,8 @@ def search(linear: Linearisation, items: Sequence[Item], causes: int) -> list[Sc
     pairs = [Explanation(p) for p in itertools.combinations(items, 2) if _compatible(p)]
     triples = [Explanation(t) for t in itertools.combinations(first[:SINGLES], 3) if _compatible(t)]
     for group in (pairs, triples):
-        found += _several(linear, changes, group, healthy, points, causes)
+        several = _several(linear, changes, group, healthy, points, causes)
+        found += [one for one in several if not left_out(one)]
     return sorted(found, key=lambda s: -s.log_weight)
 
 

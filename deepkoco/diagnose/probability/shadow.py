@@ -297,8 +297,8 @@ def linearised(
         np.zeros(count),
     )
     tried = len({i.cause.name for i in listed.items if i.columns[0] not in doubles})
-    found = search(linear, () if alone else listed.items, tried)
-    return Point(fixed, _without_doubles(found, doubles), tried)
+    scored = search(linear, () if alone else listed.items, tried, lambda one: _is_double(one, doubles))
+    return Point(fixed, scored, tried)
 
 
 def _doubles(problem: FitProblem, listed: Catalogue, changes: np.ndarray) -> dict[int, list[Coordinate]]:
@@ -324,19 +324,15 @@ def _doubles(problem: FitProblem, listed: Catalogue, changes: np.ndarray) -> dic
     return {column: rivals for column, rivals in found.items() if rivals}
 
 
-def _without_doubles(scored: Sequence[Scored], doubles: Mapping[int, Sequence[Coordinate]]) -> list[Scored]:
-    """Leave out explanations by a changed parameter to which another cause can add as much.
+def _is_double(scored: Scored, doubles: Mapping[int, Sequence[Coordinate]]) -> bool:
+    """Return whether an explanation has a changed parameter to which another cause can add as much.
 
     A payload adds to the mass of its body, but takes nothing away.
     """
-
-    def is_double(one: Scored) -> bool:
-        columns = one.explanation.columns
-        changed = [i.columns[0] for i in one.explanation.items if is_changed(i.cause)]
-        amounts = {c: one.mode[columns.index(c)] for c in changed}
-        return any(rival.low <= amounts[c] <= rival.high for c in changed for rival in doubles.get(c, ()))
-
-    return [s for s in scored if not is_double(s)]
+    columns = scored.explanation.columns
+    changed = [i.columns[0] for i in scored.explanation.items if is_changed(i.cause)]
+    amounts = {c: scored.mode[columns.index(c)] for c in changed}
+    return any(rival.low <= amounts[c] <= rival.high for c in changed for rival in doubles.get(c, ()))
 
 
 def _refitted(

@@ -50,7 +50,7 @@ def headline(diagnosis: Diagnosis) -> str:
     if diagnosis.left_out:
         differs = "the time did not suffice to say by what"
     if midway is not None:
-        named = f"T{midway['text'][1:]}. Since then: {named[0].lower()}{named[1:]}"
+        named = f"T{midway['text'][1:]}. Since then: {named.replace('The simulation', 'the simulation', 1)}"
     return {
         "cause": named,
         "ambiguous": f"{named} (or an equivalent)",

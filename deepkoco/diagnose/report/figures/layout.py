@@ -53,7 +53,7 @@ def held_out_models(diagnosis: Diagnosis) -> dict[str, str]:
     A learned load can take the place of a cause, and so can the unit as it is after a change in the middle of its log.
     """
     models = shown_models(diagnosis)
-    if "changed_midway" in diagnosis.unexplained:
+    if diagnosis.verdict == "unknown" and "changed_midway" in diagnosis.unexplained:
         models["extended"] = "simulation of the unit after its change"
     if learned_load(diagnosis):
         models["extended"] = "simulation with a learned load"
