@@ -8,9 +8,10 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deepkoco.diagnose.baseline import baseline_from
+from deepkoco.diagnose.baseline import Healthy, baseline_from
 from deepkoco.diagnose.causes import catalogue
-from deepkoco.diagnose.causes.tolerance import CLOCK_RATE, LOAD_SHARE, MOVING_SHARE, SHARE_OF_USUAL, Healthy
+from deepkoco.diagnose.causes.tolerance import CLOCK_RATE, LOAD_SHARE, MOVING_SHARE, SHARE_OF_USUAL
+from deepkoco.diagnose.causes.tolerance import Healthy as Machine
 from deepkoco.diagnose.evidence import classes, refine_ranking
 from deepkoco.diagnose.evidence.classes import APART, width
 from deepkoco.diagnose.evidence.minor import sample_period, tolerated, usual_speed
@@ -55,7 +56,7 @@ def test_cause_is_tolerated_if_its_whole_interval_lies_within_its_tolerance(stag
     cause = KNOWN[name]
     (size,) = cause.sizes
     declared, period = start.system.parameter(size), sample_period(problem.windows)
-    most = cause.tolerance(Healthy(declared, LOAD, period, {}))
+    most = cause.tolerance(Machine(declared, LOAD, period, {}))
     fit = fitted({size: start.values[size] + share * most}, sd * most)
     ends = abs(share) + 1.96 * sd
     if abs(ends - 1.0) > 1e-6:
@@ -69,14 +70,14 @@ def test_tolerances_are_those_of_a_healthy_machine(stage):
 
     def most(name, parameter, values=()):
         declared = start.system.parameter(parameter)
-        return KNOWN[name].tolerance(Healthy(declared, LOAD, period, dict(values)))
+        return KNOWN[name].tolerance(Machine(declared, LOAD, period, dict(values)))
 
     assert most("coulomb", "coulomb.torque") == pytest.approx(LOAD_SHARE * LOAD)
     assert most("clock_skew", "clock_skew.rate") == CLOCK_RATE
     assert most("actuation_delay", "actuation_delay.delay") == pytest.approx(1e-4, rel=0.02)
     # A push of 0.1 s may be ten times as strong as a load that acts for a second.
     long, short = (
-        KNOWN["event"].tolerance(Healthy(start.system.parameters[0], LOAD, period, {"event.duration": d}))
+        KNOWN["event"].tolerance(Machine(start.system.parameters[0], LOAD, period, {"event.duration": d}))
         for d in (1.0, 0.1)
     )
     assert (long, short) == pytest.approx((LOAD_SHARE * LOAD, 10.0 * LOAD_SHARE * LOAD))
@@ -96,7 +97,7 @@ def test_a_friction_that_grows_with_the_speed_is_tolerated_by_its_load_on_a_fast
     system = ExtendedSystem(BASE, (name,), {})
     declared = system.parameter(parameter)
     slow, unknown, fast = (
-        KNOWN[name].tolerance(Healthy(declared, LOAD, 0.01, {}, v)) for v in (1.0, 0.0, 60.0)
+        KNOWN[name].tolerance(Machine(declared, LOAD, 0.01, {}, v)) for v in (1.0, 0.0, 60.0)
     )
     assert slow == unknown == pytest.approx(SHARE_OF_USUAL * declared.prior_sd)
     # The wheel meets at its speed no more than that share of its load.
@@ -253,3 +254,21 @@ def test_minor_causes_say_why_they_are_not_named(stage):
     assert "0.4 %" in shape["text"]
     assert "the form of coulomb" in shape["text"]
     assert small["parameters"]["clock_skew.rate"]["value"] == 1e-6
+
+
+def test_a_robot_of_a_model_file_has_more_of_every_effect_and_less_of_it_beside_healthy_logs(stage):
+    problem, start, fitted = stage
+    file = make_system("rod_pendulum")
+    file.parameters = tuple(replace(p, guessed=True) for p in file.parameters)  # as of a file without priors
+    names = tuple(e.name for e in start.system.effects)
+    alone = replace(start, system=ExtendedSystem(file, names, {}))
+    own = Healthy((), problem.windows, alone, (), problem.evaluate(start.values))
+    beside = replace(alone, healthy=own)
+
+    def allows(baseline, times):
+        fit = fitted({"coulomb.torque": times * LOAD_SHARE * LOAD}, 1e-9)
+        return tolerated(FitProblem(baseline.system, problem.windows), baseline, KNOWN["coulomb"], fit, 1.0)
+
+    assert [allows(start, times) for times in (0.9, 1.1)] == [True, False]
+    assert [allows(beside, times) for times in (2.9, 3.1)] == [True, False]
+    assert [allows(alone, times) for times in (9.0, 11.0)] == [True, False]
