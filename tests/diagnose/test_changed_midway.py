@@ -16,9 +16,9 @@ from deepkoco.diagnose.verdict.midway import changed_midway, clearest_changes
 from deepkoco.excitation.record import record
 from deepkoco.fit.data.windows import cut_windows, moving
 from deepkoco.logs.part import seconds
-from deepkoco.logs.recording import Recording
 from deepkoco.systems import make_system
 from deepkoco.unit import make_unit
+from tests.diagnose import two_units
 
 WEIGHT = make_system("torque_pendulum").parameter("gravity_torque").value
 
@@ -32,15 +32,8 @@ def log(seed, seconds=10.0, rough=None, **changed):
     return record(unit, "steps", seconds, clock="simulated", seed=seed)
 
 
-def joined(first, second, seconds=10.0):
-    """One log after the other, as one recording."""
-    channels = {}
-    for name, a in first.channels.items():
-        b = second.channels[name]
-        kept = a.t < seconds
-        t, value = np.append(a.t[kept], b.t + seconds), np.append(a.value[kept], b.value)
-        channels[name] = replace(a, t=t, value=value)
-    return Recording(channels, system=first.system)
+def joined(first, second):
+    return two_units.joined(first, second, 10.0)
 
 
 def windows_of(recording):

@@ -1,7 +1,6 @@
 """A unit that is the simulated one until some time in its log, and then no longer."""
 
 import math
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -15,9 +14,10 @@ from deepkoco.diagnose.explanation import SEEN_BEFORE
 from deepkoco.diagnose.report.text import headline
 from deepkoco.excitation.record import record
 from deepkoco.fit.data.windows import cut_windows, moving
-from deepkoco.logs.recording import Recording, part_of
+from deepkoco.logs.recording import part_of
 from deepkoco.systems import make_system
 from deepkoco.unit import make_unit
+from tests.diagnose import two_units
 
 SYSTEM = "torque_pendulum"
 
@@ -30,14 +30,7 @@ def log(seed, **effects):
 
 
 def joined(first, second, at=15.0):
-    """One log until a time, and the other one after it."""
-    channels = {}
-    for name, a in first.channels.items():
-        b = second.channels[name]
-        kept = a.t < at
-        t, value = np.append(a.t[kept], b.t + at), np.append(a.value[kept], b.value)
-        channels[name] = replace(a, t=t, value=value)
-    return Recording(channels, system=first.system)
+    return two_units.joined(first, second, at)
 
 
 def change_in(recording):
