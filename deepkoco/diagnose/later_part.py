@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from deepkoco.diagnose.causes import is_changed
-from deepkoco.diagnose.changed_within import EXPLAINED, NEAR, Change, change_within
+from deepkoco.diagnose.changed_within import EXPLAINED, Change, change_within
 from deepkoco.diagnose.diagnosis import Diagnosis, Evidence
 from deepkoco.diagnose.evidence.forward import Selection
 from deepkoco.diagnose.explanation import SEEN_BEFORE
@@ -57,7 +56,8 @@ class LaterPart:
             return None
         request.progress("what happens once in the log, or grows in it")
         try:
-            if _left_in_time(request, base) <= max(NEAR * base.start.floor, EXPLAINED * change.near):
+            beyond = base.reference.chi2 / base.train.samples - change.near
+            if EXPLAINED * (_left_in_time(request, base) - change.near) <= beyond:
                 return None
             if not request.limit.allows(STEP):
                 return None
@@ -73,11 +73,11 @@ class LaterPart:
 
 
 def _left_in_time(request: DiagnosisRequest, base: Refitted) -> float:
-    """Return what the best cause that depends on time leaves of the whole log [noise variances a sample].
+    """Return what the best cause that happens once or grows leaves of the whole log [noise variances a sample].
 
     A push, a slip of an encoder and a drift have two parts in one log, too, and say more than that.
     """
-    causes = [c for c in request.causes if c.axis == "time" and c.free and not is_changed(c)]
+    causes = [c for c in request.causes if c.searched or any(n.endswith(".rate") for n in c.free)]
     asked = Selection(base.start, base.train, base.held, causes, request.detection, silent, request.limit)
     ranking = asked.first_ranking(base.reference, missing_torque(base.problem, base.reference)).ranking
     least = min((c.fit.chi2 for c in ranking.candidates), default=math.inf)
