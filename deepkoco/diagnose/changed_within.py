@@ -35,8 +35,8 @@ class Change(NamedTuple):
     """A change of the unit within its log.
 
     Attributes:
-        after_s: Time until which the unit is certainly the former one [s].
-        until_s: Time from which it is certainly the later one [s].
+        after_s: End of the last window that the former unit explains [s].
+        until_s: End of the first one that it does not explain [s].
         fall: Times by which the former unit's parameters explain its own part better than the later one.
         near: Mean squared error of the former part under its own parameters [noise variances].
     """
@@ -49,12 +49,25 @@ class Change(NamedTuple):
     @property
     def text(self) -> str:
         """What happened and when, as a clause."""
-        between = f"between {seconds(self.after_s)} and {seconds(self.until_s)} s"
-        return f"the unit changed in the middle of this log, {between}"
+        return what_changed(self.after_s, self.until_s)
 
     def to_json(self) -> dict[str, Any]:
         """Return the change for `unexplained.changed_midway` of report.json."""
         return {"after_s": self.after_s, "until_s": self.until_s, "fall": self.fall, "text": self.text}
+
+
+def what_changed(after_s: float, until_s: float, surely: bool = True) -> str:
+    """Return as a clause that a unit changed, and when.
+
+    Args:
+        after_s: Time after which it did [s].
+        until_s: Time until which it did [s].
+        surely: Whether both parts are explained.
+    """
+    changed = "changed" if surely else "may have changed"
+    return (
+        f"the unit {changed} in the middle of this log, between {seconds(after_s)} and {seconds(until_s)} s"
+    )
 
 
 def change_within(start: Baseline, train: Windows, held: Windows | None, whole: Fit) -> Change | None:
@@ -116,7 +129,7 @@ class _Former(NamedTuple):
     Attributes:
         near: Mean squared error of these windows [noise variances].
         left: (N,) the same of each window of the log.
-        bad: (N,) whether a window is nearer to what they leave of the last quarter than to that.
+        bad: (N,) whether an error is nearer, on a logarithmic scale, to those of the last quarter than to ``near``.
     """
 
     near: float

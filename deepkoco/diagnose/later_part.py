@@ -69,7 +69,10 @@ class LaterPart:
             return None
         # Only beside the part before is a cause known to be new.
         new = bool(found.data.get("healthy")) and SEEN_BEFORE not in found.left_out
-        return _since(change, found) if new and found.verdict in ("cause", "ambiguous") else None
+        if not new or found.verdict not in ("cause", "ambiguous"):
+            return None
+        left_out = tuple(dict.fromkeys((*request.limit.left_out, *found.left_out)))
+        return _since(change, replace(found, left_out=left_out))
 
 
 def _left_in_time(request: DiagnosisRequest, base: Refitted) -> float:

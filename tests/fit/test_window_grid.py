@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepkoco.fit import cut_windows
-from deepkoco.fit.data.windows import LONGEST_STEP, SLIGHTLY, regular_period
+from deepkoco.fit.data.step_grid import SLIGHTLY, regular_period
+from deepkoco.fit.data.windows import LONGEST_STEP
 from deepkoco.fit.solve.fine_steps import MOST
 from deepkoco.logs.recording import Recording, Series
 from deepkoco.systems import make_system

@@ -15,6 +15,7 @@ import numpy as np
 
 from deepkoco.diagnose.baseline import Baseline
 from deepkoco.diagnose.baseline_refit import refit
+from deepkoco.diagnose.changed_within import what_changed
 from deepkoco.diagnose.data import MIN_TRAINING_WINDOWS
 from deepkoco.diagnose.diagnosis import Evidence
 from deepkoco.diagnose.gain import Gain, gain_of_fits
@@ -24,7 +25,7 @@ from deepkoco.fit.data.windows import Windows
 from deepkoco.fit.fit import Fit, FitProblem
 from deepkoco.fit.solve.deflated import deflated
 from deepkoco.fit.solve.scaled_inverse import DivergedError
-from deepkoco.logs.part import named_part, seconds
+from deepkoco.logs.part import named_part
 from deepkoco.pages.units import in_one_unit
 
 FEWEST = 3  # windows before the change, and after it; of these, the one next to it is in neither fitted part
@@ -66,9 +67,7 @@ class ChangedMidway:
     @property
     def when(self) -> str:
         """What happened and when, as a clause."""
-        changed = "changed" if self.white else "may have changed"
-        between = f"between {seconds(self.after_s)} and {seconds(self.until_s)} s"
-        return f"the unit {changed} in the middle of this log, {between}"
+        return what_changed(self.after_s, self.until_s, self.white)
 
     def evidence(self, log: str | Path | None) -> Evidence:
         """Return the change as a property of the residuals, and what to do next.

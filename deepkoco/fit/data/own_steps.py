@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from deepkoco.fit.data.windows import FEWEST_STEPS, Windows, common_period, integration_step
+from deepkoco.fit.data.step_grid import common_period
+from deepkoco.fit.data.windows import FEWEST_STEPS, Windows, integration_step
 from deepkoco.systems import System
 
 SAME = 1e-6  # relative difference of two lengths of a window that are one

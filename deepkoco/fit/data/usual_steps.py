@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from deepkoco.fit.data.windows import FEWEST_STEPS, SLIGHTLY, Windows, integration_step
+from deepkoco.fit.data.step_grid import SLIGHTLY
+from deepkoco.fit.data.windows import FEWEST_STEPS, Windows, integration_step
 from deepkoco.systems import System
 
 

@@ -15,6 +15,7 @@ from deepkoco.fit.data.noise import Noise, estimate_noise, rates
 from deepkoco.fit.data.per_log_differences import Known, known_of
 from deepkoco.fit.data.rest import resting_stamps
 from deepkoco.fit.data.series import CommandSeries, channel_series, scatter_taken_out
+from deepkoco.fit.data.step_grid import grid_of_commands, grid_of_own_steps
 from deepkoco.fit.data.unseen_positions import unseen_positions
 from deepkoco.fit.data.wander import Wander, Whitening
 from deepkoco.fit.data.way_before import hidden_by, ways_of
@@ -28,11 +29,6 @@ STEPS_PER_PERIOD = 50
 FEWEST_STEPS = 20  # of a window: its missing load is shown in as many pieces
 HISTORY = 0.1  # commands must be known for this time before a window, because of delays and lags [s]
 WARM_UP = 0.15  # or this share of a window; a slow lag then forgets commands from before the log
-SLIGHTLY = 0.01  # share by which a step may be longer, so that a window has whole periods of the commands
-FAST = 3.0  # commands in the longest step, from which a step holds several
-EVEN = 0.02  # relative difference from the typical gap up to which a gap between commands is regular
-MOSTLY = 0.9  # share of regular gaps from which the commands are regular
-ONE_RATE = 1e-3  # relative difference of the rates of two logs up to which they are one rate
 EARLY = 1e-6  # share of a step by which a command may be before the start of a window
 MIN_SAMPLES = 6  # smallest number of samples of a channel in a window
 STANDSTILL = 8.0  # peak-to-peak motion, in noise standard deviations, below which a joint rests
@@ -211,7 +207,7 @@ def cut_windows(
     longest = min(integration_step(system), length / FEWEST_STEPS)
     stamps = [command.t for command, _ in channels if command.changes]
     if system.own_step is None:
-        step, steps, regular = _grid(stamps, length, longest)
+        step, steps, regular = grid_of_commands(stamps, length, longest)
     else:
         step, steps, regular = grid_of_own_steps(stamps, length, system.own_step)
     length = step * steps
@@ -275,69 +271,6 @@ def cut_windows(
         taken_out=scatter_taken_out(recordings, [series for _, series in channels], names),
         own_steps=system.own_step is not None,
     )
-
-
-def _grid(stamps: Sequence[np.ndarray], length: float, longest: float) -> tuple[float, int, bool]:
-    """Return the integration step [s], the steps of a window, and whether steps begin at commands.
-
-    A step takes the commands in it as linear in time. This is exact if they change at its ends only. Where a joint
-    turns under dry friction, a change inside moves the instant of turning. Commands at a high rate change little from
-    one to the next, so a step may then hold several: a power of two, so that steps which are halved often enough begin
-    at commands again. `fine_steps` halves them three times, so this reaches every command of a loop of up to about
-    1.6 kHz where the longest step is `LONGEST_STEP`; of a faster one, steps hold two commands or more.
-
-    Args:
-        stamps: Times of the commands of each log in which they change [s].
-        length: Wanted length of a window [s].
-        longest: Longest step [s].
-    """
-    steps = math.ceil(length / longest - 1e-9)
-    period = common_period(stamps)
-    if period is None:
-        return length / steps, steps, False
-    share = longest * (1.0 + SLIGHTLY) / period
-    if share >= 1.0:
-        step = period * (2 ** math.floor(math.log2(share)) if share >= FAST else 1)
-        return step, max(round(length / step), 1), True
-    parts = math.ceil(1.0 / share)
-    return period / parts, parts * max(round(length / period), 1), True
-
-
-def grid_of_own_steps(stamps: Sequence[np.ndarray], length: float, own: float) -> tuple[float, int, bool]:
-    """As :func:`_grid`, for a system with steps of its own: as many as fit best between two commands.
-
-    A window has an even number of them, so that each half of it is made of whole ones.
-
-    Args:
-        stamps, length: As there.
-        own: Step of the system [s].
-    """
-    period = common_period(stamps)
-    if period is None:
-        steps = 2 * max(round(0.5 * length / own), 1)
-        return length / steps, steps, False
-    parts = max(round(period / own), 1)
-    periods = max(round(length / period), 1)
-    return period / parts, parts * (periods + (parts * periods) % 2), True
-
-
-def common_period(stamps: Sequence[np.ndarray]) -> float | None:
-    """Return the regular period of the commands of all logs [s]; None where they have none in common."""
-    periods = [regular_period(t) for t in stamps]
-    period = periods[0] if periods else None
-    if period is None or any(p is None or abs(p - period) > ONE_RATE * period for p in periods):
-        return None
-    return period
-
-
-def regular_period(t: np.ndarray) -> float | None:
-    """Return the period of times that are evenly spaced but for a few [s]; None for other times."""
-    gaps = np.diff(t)
-    if len(gaps) < MIN_SAMPLES:
-        return None
-    typical = float(np.median(gaps))
-    even = np.abs(gaps - typical) <= EVEN * typical
-    return float(gaps[even].mean()) if typical > 0.0 and even.mean() >= MOSTLY else None
 
 
 def estimate_channels(recordings: Sequence[Recording], system: System) -> tuple[Noise, ...]:
