@@ -171,6 +171,42 @@ def test_a_tree_creeps_as_in_mujoco(head):
     assert np.abs(in_ours(head, efforts, h, compiled=True) - truth).max() > 20.0 * error
 
 
+SLIDE = '<joint name="{0}" type="slide" axis="{1}" frictionloss="4" armature="0.15"/>'
+TURN = '<joint name="{0}" axis="0 0 1" frictionloss="4" armature="0.15"/>'
+BOX = '<geom type="box" size="0.03 0.02 0.05" mass="0.42"/>'
+
+
+@pytest.mark.parametrize(
+    "joints",
+    [
+        [SLIDE.format("a", "1 0 0")],
+        [SLIDE.format("a", "1 0 0") + BOX + "<body>" + SLIDE.format("b", "0 1 0")],
+        [SLIDE.format("a", "1 0 0") + BOX + "<body>" + TURN.format("b")],
+        [TURN.format("a")],
+        [SLIDE.format("a", "1 0 0"), TURN.format("b")],
+    ],
+    ids=["slide", "slide on slide", "hinge on slide", "hinge", "slide beside hinge"],
+)
+def test_joints_with_armature_creep_as_fast_as_in_mujoco(joints, tmp_path):
+    bodies = "".join(f"<body>{own}{BOX}{'</body>' * (1 + own.count('<body>'))}" for own in joints)
+    names = [name for name in "ab" if f'name="{name}"' in bodies]
+    motors = "".join(f'<motor name="m_{name}" joint="{name}"/>' for name in names)
+    text = (
+        '<mujoco><option gravity="0 0 0" timestep="5e-4"/><default><geom contype="0" conaffinity="0"/></default>'
+        f"<worldbody>{bodies}</worldbody><actuator>{motors}</actuator></mujoco>"
+    )
+    path = tmp_path / "robot.xml"
+    path.write_text(text)
+    system = load_system(path).with_engine()
+    for k in range(len(names)):
+        model = mujoco.MjModel.from_xml_string(text)
+        data = mujoco.MjData(model)
+        data.ctrl[k] = 2.0
+        mujoco.mj_step(model, data, 1000)
+        creep = system.dry_friction_levels(system.default_parameters()).creeps[k]
+        assert 2.0 / float(creep.inertia * creep.rate) == pytest.approx(data.qvel[k], rel=1e-5)
+
+
 def test_steps_in_torch_creep_as_the_compiled_ones(head):
     efforts = np.repeat(np.random.default_rng(2).uniform(-0.2, 0.2, (8, 2)), 10, axis=0)
     extended = ExtendedSystem(

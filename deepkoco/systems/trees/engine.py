@@ -27,6 +27,7 @@ from deepkoco.systems.trees.tree import Actuator, Engine, Joint, Softness
 
 LARGEST_SHARE = 0.5  # of the inertia that a joint moves, which a damping below 0 may take off
 LEAST_IMPEDANCE, MOST_IMPEDANCE = 1e-4, 0.9999  # mjMINIMP, mjMAXIMP
+ONLY_SLIDES = 2  # `body_simple` of a body with diagonal inertia whose joints are all slides
 
 
 def engine_of(model: Model) -> Engine | None:
@@ -114,7 +115,9 @@ def creeping(
         added: As of :func:`ahead`.
     """
     at = [torch.tensor(joint.reference, dtype=torch.float64) for joint in joints]
-    inverse = inverse_mass(joints, inertias, armatures, at)
+    # No other joint moves a bare one, so its row of the inverse is that of its body.
+    seen = [0.0 if soft.bare else armature for soft, armature in zip(softness, armatures, strict=True)]
+    inverse = inverse_mass(joints, inertias, seen, at)
     creeps = tuple(Creep(soft.inertia / inverse[j][j], soft.rate) for j, soft in enumerate(softness))
     if all(not isinstance(x, Tensor) and x == 0.0 for x in added):
         return replace(friction, creeps=creeps)
@@ -159,4 +162,6 @@ def friction_softness(model: Model, dof: int) -> Softness | None:
         rate = -damping / most
     if not rate > 0.0:
         return None
-    return Softness(impedance / (1.0 - impedance), rate, slowest)
+    # MuJoCo sets `dof_invweight0` of a body that hangs on slides alone, and carries none that moves, to 1 / mass.
+    bare = int(model.body_simple[model.dof_bodyid[dof]]) == ONLY_SLIDES
+    return Softness(impedance / (1.0 - impedance), rate, slowest, bare)

@@ -146,11 +146,13 @@ class Softness(NamedTuple):
         inertia: With which it resists an acceleration, over the inertia that the joint moves at its reference.
         rate: At which it stops a motion while it is below its level [1/s].
         slowest: The rate is at most 1 over so many steps of the engine; 0 where no step limits it.
+        bare: Whether the inertia that the joint moves is that of its body alone, without the joint's armature.
     """
 
     inertia: float
     rate: float
     slowest: float = 0.0
+    bare: bool = False
 
 
 @dataclass(frozen=True)
