@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -77,6 +77,30 @@ class Near(NamedTuple):
     delays: Mapping[str, float] | None = None
 
 
+@dataclass
+class LosingCommands:
+    """Of which commands healthy logs lose some: asked of a command once other logs seem to lose some of it.
+
+    Most logs lose none, and the search in the healthy ones may take as long as all of their fits.
+
+    Attributes:
+        search: Index of a command -> whether they lose some of it.
+    """
+
+    search: Callable[[int], bool]
+    _known: dict[int, bool] = field(default_factory=dict)
+
+    def __contains__(self, index: int) -> bool:
+        if index not in self._known:
+            self._known[index] = self.search(index)
+        return self._known[index]
+
+    @property
+    def found(self) -> tuple[int, ...]:
+        """Indices of the commands of which they are known to lose some."""
+        return tuple(sorted(index for index, loses in self._known.items() if loses))
+
+
 @dataclass(frozen=True)
 class Baseline:
     """Model, prior and floor from which a diagnosis starts.
@@ -88,7 +112,7 @@ class Baseline:
         floor: chi2 per sample of this unit when nothing is wrong.
         correlation: Samples per independent sample of the healthy residuals; 1 unless estimated from several logs.
         effects: Effects that were added from healthy logs.
-        losing: Indices of the commands of which healthy logs also lose some.
+        losing: Of which commands the healthy logs also lose some; None without such logs.
         gauges: Scale gauges that the logs leave open, each with a parameter that keeps its value as given.
         healthy: The healthy logs from which it was learned, if any.
         runs: Run-to-run variance of these logs; None for fewer than two.
@@ -109,7 +133,7 @@ class Baseline:
     floor: float = 1.0
     correlation: float = 1.0
     effects: tuple[str, ...] = ()
-    losing: tuple[int, ...] = ()
+    losing: LosingCommands | None = None
     gauges: tuple[Gauge, ...] = ()
     healthy: Healthy | None = None
     runs: RunToRun | None = None

@@ -14,6 +14,7 @@ from deepkoco.diagnose.baseline import (
     Baseline,
     BaselineError,
     Healthy,
+    LosingCommands,
     Near,
     baseline_from,
     with_gauges_fixed,
@@ -180,14 +181,7 @@ def _learn(
         except DivergedError:
             # All logs together bear this effect, one of them alone does not: it is none that the unit has.
             accepted = list(told.causes)
-    progress(f"healthy logs: lost commands{in_company_of(c.name for c in accepted)}")
-    fit, (counted, problem) = told.fit, told.counted()
-    prior = prior_with(problem, counted, accepted, fit.values)
-    lost = [c for c in catalogue(start.system.base).values() if c.kind == LOST_COMMANDS.name]
-    lost = lost if limit.allows("lost commands in the healthy logs") else []
-    losing = tuple(
-        c.index for c in lost if best_losses(problem, fit, prior, [c], 1.0, DETECTION)[0] is not None
-    )
+    losing = _losing_commands(told, progress, limit)
     # If the healthy logs cannot decide between several causes, a later log may. So all of them are added, with the
     # uncertainty that the healthy logs leave.
     catalogued = catalogue(start.system.base)
@@ -201,6 +195,22 @@ def _learn(
     except DivergedError as error:
         raise FloorError(str(error)) from error
     return replace(_learned(told, spread.runs), losing=losing)
+
+
+def _losing_commands(healthy: Healthy, progress: Progress, limit: TimeLimit) -> LosingCommands:
+    """Return of which commands healthy logs lose some, beside the effects that they are known to show."""
+
+    def loses(index: int) -> bool:
+        if not limit.allows("lost commands in the healthy logs"):
+            return False
+        progress(f"healthy logs: lost commands{in_company_of(c.name for c in healthy.causes)}")
+        counted, problem = healthy.counted()
+        known = catalogue(healthy.before.system.base).values()
+        causes = [c for c in known if c.kind == LOST_COMMANDS.name and c.index == index]
+        prior = prior_with(problem, counted, healthy.causes, healthy.fit.values)
+        return best_losses(problem, healthy.fit, prior, causes, 1.0, DETECTION)[0] is not None
+
+    return LosingCommands(loses)
 
 
 def is_of_any_machine(problem: FitProblem, start: Baseline, ranking: Ranking) -> bool:

@@ -350,7 +350,10 @@ class Selection(SelectionTask):
         start, fit = self.start, prefix.final
         prior = prior_with(self.problem, start, prefix.accepted, fit.values)
         wanted = FURTHER if prefix.accepted else self.loss_detection
-        found, without_them = best_losses(self.problem, fit, prior, causes, start.least_deflation, wanted)
+        losing = () if start.losing is None else start.losing
+        found, without_them = best_losses(
+            self.problem, fit, prior, causes, start.least_deflation, wanted, losing
+        )
         if found is None:
             better = not prefix.accepted and without_them.cost < fit.cost
             return None, without_them if better else None

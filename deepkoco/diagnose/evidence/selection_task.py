@@ -117,9 +117,10 @@ class SelectionTask:
         return Hints(self.start.system, problem.windows, missing, fit.chi2 / self.train.samples, far)
 
     def loss_causes(self) -> list[Cause]:
-        """Return lost commands of every command channel, except those of which healthy logs also lose some."""
+        """Return lost commands of every command channel, except those of which healthy logs are known to lose some."""
         known = catalogue(self.start.system.base).values() if self.causes is None else self.causes
-        return [c for c in known if c.kind == LOST_COMMANDS.name and c.index not in self.start.losing]
+        losing = () if self.start.losing is None else self.start.losing.found
+        return [c for c in known if c.kind == LOST_COMMANDS.name and c.index not in losing]
 
     def losses_fit_error(self, found: Selected, plain: Selected) -> bool:
         """Return whether lost commands explain little and leave more than noise.

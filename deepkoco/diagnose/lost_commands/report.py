@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -45,7 +45,13 @@ class Losses(NamedTuple):
 
 
 def best_losses(
-    problem: FitProblem, fit: Fit, prior: Prior, causes: Sequence[Cause], floor: float, wanted: float
+    problem: FitProblem,
+    fit: Fit,
+    prior: Prior,
+    causes: Sequence[Cause],
+    floor: float,
+    wanted: float,
+    losing: Container[int] = (),
 ) -> tuple[Losses | None, Fit]:
     """Return the lost commands of the channel with the lowest cost, and the best fit of the model without them.
 
@@ -58,6 +64,7 @@ def best_losses(
         causes: Lost commands of every command channel of the system.
         floor: Smallest deflation.
         wanted: Fall of the BIC that they need.
+        losing: Indices of the commands of which healthy logs of the unit also lose some; asked of what would be named.
 
     Returns:
         The losses, None where they do not lower the BIC enough; and ``fit``, or a better one.
@@ -68,21 +75,21 @@ def best_losses(
         for cause, lost in tried
         if lost is not None and lost.lost >= MIN_CLEAR_LOSSES and _by_chance(lost)
     ]
-    if not found:
-        return None, fit
-    _, cause, lost = min(found, key=lambda item: item[0])
-    deflation = max(
-        deflation_with(lost.found, dispersion(lost.fit, problem.windows), problem.windows.samples), floor
-    )
-    needed = (lost.charge + wanted) * deflation
-    if fit.cost - lost.fit.cost <= needed:
-        return None, fit
-    plain = _from_where_losses_led(problem, fit, prior, lost)
-    ratio = plain.cost - lost.fit.cost
-    if ratio <= needed:
-        return None, plain
-    finding = _finding(lost, cause, ratio, ratio / deflation - lost.charge, needed, wanted)
-    return Losses(finding, lost.problem, lost.fit, lost.charge), plain
+    for _, cause, lost in sorted(found, key=lambda item: item[0]):
+        deflation = max(
+            deflation_with(lost.found, dispersion(lost.fit, problem.windows), problem.windows.samples), floor
+        )
+        needed = (lost.charge + wanted) * deflation
+        if fit.cost - lost.fit.cost <= needed:
+            return None, fit
+        plain = _from_where_losses_led(problem, fit, prior, lost)
+        ratio = plain.cost - lost.fit.cost
+        if ratio <= needed:
+            return None, plain
+        if cause.index not in losing:
+            finding = _finding(lost, cause, ratio, ratio / deflation - lost.charge, needed, wanted)
+            return Losses(finding, lost.problem, lost.fit, lost.charge), plain
+    return None, fit
 
 
 def _from_where_losses_led(problem: FitProblem, fit: Fit, prior: Prior, lost: LostCommands) -> Fit:
@@ -146,7 +153,7 @@ def instead_of_push(
         if lost is None or lost.lost >= MIN_CLEAR_LOSSES or not _by_chance(lost) or not _inside(lost, pushed):
             continue
         behind = (lost.fit.cost - fit.cost) / deflation + lost.charge - penalty(push, samples, places)
-        if behind < APART:
+        if behind < APART and not (start.losing is not None and cause.index in start.losing):
             names.append(cause.name)
     return tuple(names)
 

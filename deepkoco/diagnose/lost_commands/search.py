@@ -37,10 +37,8 @@ RENEWALS = 2  # times that a fit of a round may compute its slopes again, where 
 CLEAR = (
     4.0  # fall of chi2 by the loss of a tick, in prices of a tick, from which the tick counts for the share
 )
-# Ticks with the largest steps of the command, of which one must explain so much alone: a pattern of many losses is
-# charged 7 and more for each, and the losses of large steps explain most.
-LARGE_STEPS = 1 / 3
-LEAST_WORTH = 12.0
+LARGE_STEPS = 1 / 3  # ticks with the largest steps of the command, whose losses explain most
+MORE_TOGETHER = 1.5  # fall of the cost by a pattern, over the sum of what its ticks explain alone
 MIN_CLEAR_TICKS = 10  # number of clear ticks from which the share is computed from them alone
 
 
@@ -91,10 +89,8 @@ class LostCommands:
 
     @property
     def charge(self) -> float:
-        """Charge of the BIC: twice the logarithm of the number of patterns, and the share as one parameter."""
-        n, k = self.searched, self.found
-        patterns = math.lgamma(n + 1) - math.lgamma(k + 1) - math.lgamma(n - k + 1)
-        return 2.0 * patterns + math.log(max(self.problem.windows.samples, 2))
+        """Charge of the BIC."""
+        return charge_of(self.found, self.searched, self.problem.windows.samples)
 
     @property
     def total(self) -> float:
@@ -121,7 +117,7 @@ def why_not_searched(windows: Windows, losing: Sequence[int] = ()) -> str | None
         return f"a window contains {most} commands; the search takes at most {MOST_TICKS}"
     if losing:
         which = " and ".join(str(k + 1) for k in losing)
-        return f"command {which} is not searched: the healthy logs also lose some of its commands"
+        return f"losses of command {which} are not named: the healthy logs also lose some of its commands"
     return None
 
 
@@ -147,10 +143,10 @@ def lost_commands(problem: FitProblem, fit: Fit, prior: Prior, index: int) -> Lo
         return None
     search = _Search(problem, fit, prior, index, ticks_of(windows), sent)
     nothing = [np.zeros(len(u), dtype=bool) for u in sent]
+    if search.promised() <= 0.0:
+        return None
     if not search.keeps:
         return search.run(fit, nothing)
-    if search.largest_worth() < LEAST_WORTH:
-        return None
     # Most searches find nothing that may be named, so what they find is searched again without what is kept.
     found = search.run(fit, nothing, kept=True)
     if (
@@ -185,20 +181,28 @@ class _Search:
         """Whether a simulation of all parameters and ticks takes so long that one can be kept for all rounds."""
         return self.problem.keeps_slopes([self._onward(self.fit)])
 
-    def largest_worth(self) -> float:
-        """Return the largest fall of chi2 by the loss of a single tick, among the ticks with the largest steps."""
-        asked = []
-        for own, log in zip(self.spans, self.problem.windows.log, strict=True):
+    def promised(self) -> float:
+        """Return the largest fall of the cost by a pattern, less its charge, as single ticks promise it.
+
+        Only the ticks with the largest steps of the command are asked. What they explain alone is added up, from the
+        best one on.
+        """
+        windows, asked = self.problem.windows, []
+        for own, log in zip(self.spans, windows.log, strict=True):
             step = np.abs(self.sent[log][own - 1] - self.sent[log][own])
             count = max(round(LARGE_STEPS * len(own)), 1)
             asked.append(own[np.sort(np.argsort(-step, kind="stable")[:count])])
         known = list(simulated(self.problem, self.fit, self.index, self.spans, self.sent, asked))
-        found = responses_to(self.problem.windows, self.fit, asked, known)
-        most = [
-            float(self._worth(response, own, log).max(initial=0.0))
-            for response, own, log in zip(found, asked, self.problem.windows.log, strict=True)
-        ]
-        return max(most, default=0.0)
+        worth = [np.zeros(len(u)) for u in self.sent]
+        for response, own, log in zip(
+            responses_to(windows, self.fit, asked, known), asked, windows.log, strict=True
+        ):
+            worth[log][own] = np.maximum(worth[log][own], self._worth(response, own, log))
+        n = len({(log, tick) for own, log in zip(asked, windows.log, strict=True) for tick in own.tolist()})
+        falls = -np.sort(-np.concatenate(worth))
+        falls = MORE_TOGETHER * np.cumsum(falls[falls > 0.0])
+        charges = [charge_of(k, n, windows.samples) for k in range(1, len(falls) + 1)]
+        return float(np.max(falls - charges, initial=-math.inf))
 
     def _worth(self, response: Responses, own: np.ndarray, log: int) -> np.ndarray:
         """Return the fall of chi2 by the loss of each of some ticks alone."""
@@ -310,6 +314,12 @@ class _Search:
             real += plain - response.residual @ response.residual
             opposite += plain - ((without + response.change @ offset_of(given, other)) ** 2).sum()
         return bool(opposite > real)
+
+
+def charge_of(lost: int, searched: int, samples: int) -> float:
+    """Return the charge of the BIC: twice the logarithm of the number of patterns, and the share as one parameter."""
+    patterns = math.lgamma(searched + 1) - math.lgamma(lost + 1) - math.lgamma(searched - lost + 1)
+    return 2.0 * patterns + math.log(max(samples, 2))
 
 
 def _counted(

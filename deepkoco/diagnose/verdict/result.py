@@ -192,7 +192,9 @@ def _unexplained(request: DiagnosisRequest, explanation: Explanation, judgement:
         "minor": minor_causes(explanation.found),
         "allowed_by_healthy_logs": list(explanation.joined),
         "not_fitted": list(judgement.unfitted),
-        "lost_commands_not_searched": why_not_searched(train, base.start.losing),
+        "lost_commands_not_searched": why_not_searched(
+            train, () if base.start.losing is None else base.start.losing.found
+        ),
         "signatures": [vars(e) for e in _signatures(request, explanation, judgement)],
         **({} if learned is None else {"residual_model": learned.to_json()}),
     }

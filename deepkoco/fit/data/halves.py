@@ -14,15 +14,19 @@ from deepkoco.fit.data.windows import Windows, first_state
 
 
 def halved(windows: Windows) -> Windows:
-    """Split each window into two halves; the first half of window w has the index 2 w."""
-    steps = max(windows.steps // 2, 1)
-    # Steps of the system's own are never cut: a last one that is odd is left out.
-    half = windows.step * steps if windows.own_steps else 0.5 * windows.length
+    """Split each window into two halves; the first half of window w has the index 2 w.
+
+    Their steps are those of the windows, which begin at commands. Where their number is odd, the second half is the
+    longer one, and the first goes on beyond its last sample for a step.
+    """
+    if windows.steps == 1:
+        windows = replace(windows, step=0.5 * windows.step, steps=2)
+    half = windows.step * (windows.steps // 2)
     joints = windows.state.shape[1] // 2
     parts = []
     for w in range(len(windows)):
         for k in (0, 1):
-            inside = windows.valid[w] & (windows.t[w] >= k * half) & (windows.t[w] < (k + 1) * half)
+            inside = windows.valid[w] & ((windows.t[w] >= half) if k else (windows.t[w] < half))
             t = torch.where(inside, windows.t[w] - k * half, 0.0)
             # Samples of the other half follow as padding.
             order = torch.argsort((~inside).to(torch.int8), dim=-1, stable=True)
@@ -38,8 +42,7 @@ def halved(windows: Windows) -> Windows:
         windows,
         log=np.repeat(windows.log, 2),
         t0=(windows.t0[:, None] + half * np.arange(2)).ravel(),
-        step=half / steps,
-        steps=steps,
+        steps=windows.steps - windows.steps // 2,
         t=torch.stack([part[0][:, :size] for part in parts]),
         value=torch.stack([part[1][:, :size] for part in parts]),
         valid=torch.stack([part[2][:, :size] for part in parts]),

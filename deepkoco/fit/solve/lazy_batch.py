@@ -20,7 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepkoco.fit.fit_types import FIRST_DAMPING, Fit, Trial
+from deepkoco.fit.fit_types import Fit, Trial
 from deepkoco.fit.shooting import ShootingProblem
 from deepkoco.fit.solve.frozen_slopes import FrozenSlopes, slopes_at, varying
 from deepkoco.fit.solve.levenberg_marquardt import LARGEST_DAMPING, LEAST_DAMPING, LIKELY, TOLERANCE, Batch
@@ -207,9 +207,13 @@ class LazyBatch(Batch):
             self.done[k] = True
 
     def _steps_farther(self, k: int) -> bool:
-        """Lower a damping that another fit has handed on, where this fit has not yet found that less is too little."""
+        """Lower the damping, where this fit has not yet found that less is too little.
+
+        Damping shortens a step most along what the measurements tell least. A step that promises little with it may
+        promise much without.
+        """
         lower = 0.1 * self.damping[k]
-        if lower < FIRST_DAMPING or lower <= self.too_little[k]:
+        if lower < LEAST_DAMPING or lower <= self.too_little[k]:
             return False
         self.damping[k] = lower
         return True

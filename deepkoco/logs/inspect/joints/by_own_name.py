@@ -22,7 +22,8 @@ def called_as_actuators(survey: Survey, system: System) -> dict[int, ColumnSurve
     """Columns that have the name of an actuator and no joint's, and a unit of its command: ``elbow_pos_rad``.
 
     The name of an actuator may hold words that say something else of a column: `pos` a measured position, a unit of
-    torque a measured effort. A name that the user gave says more than they do.
+    torque a measured effort. A name that the user gave says more than they do. Where it holds no such words, as
+    ``servo1``, no unit is needed.
 
     Args:
         survey: Of the log.
@@ -38,13 +39,19 @@ def called_as_actuators(survey: Survey, system: System) -> dict[int, ColumnSurve
             column
             for column in survey.columns
             if column.usable
-            and column.hints.unit is not None
-            and parse_unit(column.hints.unit).quantity == parse_unit(channel.unit).quantity
+            and _may_have_unit_of(column, channel)
             and _without_unit(column, channel) == channel.name.lower()
         ]
         if len(own) == 1 and channel.name.lower() not in joints:
             found[number] = own[0]
     return found
+
+
+def _may_have_unit_of(column: ColumnSurvey, channel: Channel) -> bool:
+    """Whether a column has a unit of a channel's quantity; one without a unit, whether its name says no quantity."""
+    if column.hints.unit is None:
+        return role_of(column)[0] is None
+    return parse_unit(column.hints.unit).quantity == parse_unit(channel.unit).quantity
 
 
 def give_commands(called: dict[int, ColumnSurvey], joints: dict[int, LogJoint], system: System) -> None:
