@@ -43,8 +43,8 @@ def refit(
 
     The cost of a long window across an unstable equilibrium has many minima; that of half windows has fewer. The fit
     on half windows gives the start values of parameters and initial states for the full windows. Where one of these
-    fits ends without a minimum, as in a valley of stick and slip that no slope leaves, the full windows are fitted from
-    the present values too, and the lower cost is kept.
+    fits ends without a minimum, as in a valley of stick and slip that no slope leaves, or the second one diverges, the
+    full windows are fitted from the present values too, and the lower cost is kept.
 
     Args:
         start: Prior and present values.
@@ -57,7 +57,7 @@ def refit(
         The fit of the full windows.
 
     Raises:
-        DivergedError: The simulation diverges at the present values, or at those of the fit on half windows.
+        DivergedError: The simulation diverges at the present values, and at those of the fit on half windows.
     """
     names = start.prior.names if free is None else free
     first = from_shorter_windows(start, windows, names) if first is None else first
@@ -65,14 +65,15 @@ def refit(
     guess = windows.state.clone()
     guess[torch.from_numpy(few_windows(windows, len(names)))] = first.state[::2]
     state, _ = problem.fit_states(first.values, guess)
-    found = problem.fit_one(
-        Trial("refit", names, start.prior, first.values, state, first.nuisance), tolerance=tolerance
-    )
-    if not (first.stuck or found.stuck):
+    trial = Trial("refit", names, start.prior, first.values, state, first.nuisance)
+    found = problem.fit([trial], tolerance=tolerance)[0]
+    if not (first.stuck or found.stuck or found.diverged):
         return found
     state, _ = problem.fit_states(start.values, windows.state)
     again = problem.fit([Trial("refit", names, start.prior, start.values, state)], LONG, tolerance)[0]
-    return again if not again.diverged and again.cost < found.cost else found
+    if again.diverged and found.diverged:
+        raise problem.divergence(trial, found)
+    return found if again.diverged or (not found.diverged and found.cost <= again.cost) else again
 
 
 def on_half_windows(

@@ -11,11 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepkoco.diagnose import diagnose
-from deepkoco.diagnose.baseline import baseline_from
+from deepkoco.diagnose.baseline import LosingCommands, baseline_from
 from deepkoco.diagnose.baseline_refit import refit_sharply
 from deepkoco.diagnose.causes import catalogue
 from deepkoco.diagnose.data import cut_data
 from deepkoco.diagnose.evidence.selection import FURTHER
+from deepkoco.diagnose.lost_commands import search as search_module
 from deepkoco.diagnose.lost_commands import sequence as loss_pattern
 from deepkoco.diagnose.lost_commands.report import best_losses, deflation_with
 from deepkoco.diagnose.lost_commands.search import LostCommands, lost_commands
@@ -196,6 +197,36 @@ def test_innovations_project_out_the_initial_state():
 
 def test_lost_commands_are_none_where_every_command_arrived():
     assert search(unit(0.0)) is None
+
+
+def test_what_single_ticks_promise_tells_losses_from_noise(monkeypatch):
+    promised = []
+
+    def only_promised(self, *_):
+        promised.append(self.promised())
+
+    monkeypatch.setattr(search_module._Search, "run", only_promised)
+    search(unit(0.0))
+    search(unit(0.03))
+    assert len(promised) == 1
+    assert promised[0] > 100.0
+
+
+def test_healthy_logs_are_asked_once_of_each_command_that_other_logs_lose():
+    asked = []
+
+    def loses(index):
+        asked.append(index)
+        return index == 1
+
+    losing = LosingCommands(loses)
+    assert losing.found == ()
+    assert not asked
+    assert 1 in losing
+    assert 0 not in losing
+    assert 1 in losing
+    assert asked == [1, 0]
+    assert losing.found == (1,)
 
 
 @pytest.mark.study

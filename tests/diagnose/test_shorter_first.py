@@ -63,12 +63,13 @@ def test_short_windows_lead_to_the_minimum_that_long_ones_miss(arm, seed, monkey
 @pytest.mark.parametrize("rounding", [0, 1, 2])
 def test_shortest_windows_that_find_no_minimum_begin_nearer_to_the_prior(arm, rounding, monkeypatch):
     windows, start, least = arm
-    far, rng = far_values(windows, start, 3), np.random.default_rng(rounding)
+    far, rng = far_values(windows, start, 13), np.random.default_rng(rounding)
     far |= {n: far[n] * (1.0 + 1e-12 * rng.normal()) for n in start.prior.names}
     fitted = spied(monkeypatch)
     found = shorter_first(start.system, far, start.prior, start.prior.names, windows)
     assert found.cost == pytest.approx(least.cost, rel=0.0, abs=TOLERANCE)
     lengths = [w.length for w in fitted]
+    assert min(lengths) < 0.25 * windows.length
     assert lengths.count(min(lengths)) == 2
 
 

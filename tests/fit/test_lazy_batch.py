@@ -153,6 +153,31 @@ def test_a_fit_follows_a_curved_valley_to_its_end():
     assert found.values["y"] == pytest.approx(4.0, abs=0.05)
 
 
+def test_a_fit_ends_where_no_step_promises_more_with_or_without_damping():
+    """A straight valley so narrow that damping stops every step along it, beside something that nothing explains."""
+
+    class Narrow(Valley):
+        weight = torch.ones(1, 4, 1, dtype=torch.float64)
+        windows = SimpleNamespace(
+            value=torch.tensor([0.0, 0.0, 0.0, 10.0], dtype=torch.float64)[None, :, None],
+            state=Valley.windows.state,
+            samples=100,
+        )
+
+        def predict(self, theta, state, nuisance):
+            x, y = torch.from_numpy(theta).T
+            shown = torch.stack([3e3 * (y - x), state[:, 0, 0], state[:, 0, 1], 0.0 * x], 1)
+            return shown[:, None, :, None]
+
+    names = ("x", "y")
+    prior = Prior(names, np.array([2.0, 0.0]), np.diag([1.0, 1e4]) ** 2)
+    start = Trial("valley", names, prior, {"x": 1.2, "y": 1.2}, Valley.windows.state)
+    found = LazyBatch(Narrow(), [start]).run(40)[0]
+    assert found.converged
+    assert found.cost - 100.0 < 0.05
+    assert found.values["x"] == pytest.approx(2.0, abs=0.3)
+
+
 def test_a_simulation_that_runs_away_beside_a_step_leaves_the_step_straight(arm, trial, monkeypatch):
     reference = LazyBatch(arm, [trial], TOLERANCE).run(25)[0]
     predict, probes = FitProblem.predict, []

@@ -78,16 +78,18 @@ def test_windows_of_a_machine_get_the_steps_of_an_engine_and_back(slider):
     assert in_steps_of(windows, slider) is windows
 
 
-def test_an_odd_last_step_is_left_out_of_halves(slider):
+def test_halves_of_an_odd_number_of_steps_keep_all_samples(slider):
     windows = in_steps_of(
         cut_windows([recorded(0.04)], slider, 1.0), slider.with_engine("semi-implicit", 0.04)
     )
     assert windows.steps == 25
     halves = halved(windows)
-    assert (halves.steps, halves.step) == (12, windows.step)
+    assert (halves.steps, halves.step) == (13, windows.step)
     np.testing.assert_allclose(halves.t0[1::2] - halves.t0[::2], 12 * 0.04)
-    assert float(halves.t.max()) < 12 * 0.04
+    assert float(halves.t[::2].max()) < 12 * 0.04
+    assert float(halves.t.max()) < 13 * 0.04
     assert torch.equal(halves.value[0, :, :12], windows.value[0, :, :12])
+    assert torch.equal(halves.value[1, :, :13], windows.value[0, :, 12:25])
 
 
 def test_steps_of_commands_without_a_period_are_as_stated(slider):

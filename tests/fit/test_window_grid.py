@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepkoco.fit import cut_windows
+from deepkoco.fit.data.halves import halved
 from deepkoco.fit.data.step_grid import SLIGHTLY, regular_period
 from deepkoco.fit.data.windows import LONGEST_STEP
 from deepkoco.fit.solve.fine_steps import MOST
@@ -59,6 +60,19 @@ def test_halved_steps_of_a_fast_loop_begin_at_every_command(rate):
     windows = cut_windows([log_with(stamps)], make_system(SYSTEM), 1.0)
     finest = windows.step / MOST * rate  # periods of the loop
     assert 1.0 / finest == pytest.approx(round(1.0 / finest))
+
+
+@given(windows_of=st.sampled_from([0.95, 1.0, 1.05, 1.21]), rate=st.sampled_from([50.0, 100.0, 200.0]))
+def test_halves_have_the_steps_of_their_windows_and_begin_at_commands(windows_of, rate):
+    stamps = np.arange(round(6.0 * rate)) / rate
+    windows = cut_windows([log_with(stamps)], make_system(SYSTEM), windows_of)
+    halves = halved(windows)
+    assert halves.step == windows.step
+    assert halves.samples == windows.samples
+    np.testing.assert_allclose(halves.t0[::2], windows.t0)
+    begun = halves.t0 * rate
+    np.testing.assert_allclose(begun, begun.round(), atol=1e-3)
+    assert float(halves.t.max()) < halves.length
 
 
 def free_motion(shown):

@@ -44,6 +44,28 @@ def test_a_goal_that_is_called_as_its_actuator_is_no_position_although_its_name_
     np.testing.assert_allclose(read.channels["pan_pos"].value, PAN)
 
 
+def test_a_column_that_is_called_as_a_servo_is_its_goal_also_without_a_unit(tmp_path):
+    servos = SERVOS.replace("pan_pos", "servo1").replace("tilt_pos", "servo2")
+    columns = {"pan_rad": late(PAN), "tilt_rad": late(TILT), "servo1": PAN, "servo2": TILT}
+    log, robot = head(tmp_path, servos, columns)
+    assert columns_of(log, robot) == {
+        "q_pan": "pan_rad",
+        "q_tilt": "tilt_rad",
+        "servo1": "servo1",
+        "servo2": "servo2",
+    }
+    (read,) = read_logs([log], robot)
+    np.testing.assert_allclose(read.channels["servo2"].value, TILT)
+
+
+def test_a_column_that_is_called_as_a_servo_that_nothing_follows_is_no_goal_for_sure(tmp_path):
+    servos = SERVOS.replace("pan_pos", "servo1").replace("tilt_pos", "servo2")
+    columns = {"pan_rad": late(PAN), "tilt_rad": late(TILT), "servo1": 100.0 * PAN, "servo2": np.cos(7.0 * T)}
+    log, robot = head(tmp_path, servos, columns)
+    with pytest.raises(LogError, match="is no goal that its position follows in one unit"):
+        read_logs([log], robot)
+
+
 def test_a_position_that_is_called_as_the_actuator_stays_one_where_the_log_has_no_other(tmp_path):
     columns = {"pan_pos_rad": late(PAN), "tilt_pos_rad": late(TILT), "pan_cmd_rad": PAN, "tilt_cmd_rad": TILT}
     found = {

@@ -20,7 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepkoco.fit.fit_types import Fit, Trial
+from deepkoco.fit.fit_types import FIRST_DAMPING, STUCK, Fit, Trial
 from deepkoco.fit.shooting import ShootingProblem
 from deepkoco.fit.solve.frozen_slopes import FrozenSlopes, slopes_at, varying
 from deepkoco.fit.solve.levenberg_marquardt import LARGEST_DAMPING, LEAST_DAMPING, LIKELY, TOLERANCE, Batch
@@ -210,10 +210,13 @@ class LazyBatch(Batch):
         """Lower the damping, where this fit has not yet found that less is too little.
 
         Damping shortens a step most along what the measurements tell least. A step that promises little with it may
-        promise much without.
+        promise more without. Where it promises a large share of the cost, the fit is stuck far from its minimum, and a
+        straight step leads nowhere.
         """
         lower = 0.1 * self.damping[k]
         if lower < LEAST_DAMPING or lower <= self.too_little[k]:
+            return False
+        if lower < FIRST_DAMPING and self._promised(k) > STUCK * self.cost[k]:
             return False
         self.damping[k] = lower
         return True
