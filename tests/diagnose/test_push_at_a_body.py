@@ -60,9 +60,9 @@ def moved(force, low, begins, lasts, seed=3, aside=0.0):
 @pytest.mark.parametrize(
     ("force", "low", "begins", "lasts"),
     [
-        ((6.5, 0.0, 0.0), 0.0, 13.2, 1.0),
+        pytest.param((6.5, 0.0, 0.0), 0.0, 13.2, 1.0, marks=pytest.mark.long),
         ((-9.0, 0.0, 4.0), 0.15, 7.31, 0.2),
-        ((2.5, 0.0, 0.0), 0.0, 8.9, 3.3),
+        pytest.param((2.5, 0.0, 0.0), 0.0, 8.9, 3.3, marks=pytest.mark.long),
     ],
 )
 def test_a_push_at_a_hanging_load_is_told_by_its_force_its_point_and_its_time(
@@ -91,6 +91,7 @@ def test_a_crane_that_nobody_pushes_shows_no_push(tmp_path):
 
 
 @pytest.mark.study
+@pytest.mark.long
 @pytest.mark.timeout(300)
 def test_a_rope_at_the_side_of_a_load_is_told_by_its_line_of_action(tmp_path):
     (tmp_path / "crane.xml").write_text(CRANE.format(damping=15.0, mass=4.0))
